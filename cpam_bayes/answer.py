@@ -84,6 +84,11 @@ class Constant:
     rests_on: tuple[str, ...] = ()
 
     @property
+    def has_reference_prior(self) -> bool:
+        """Whether its prior is what is known of the reference."""
+        return self.prior.describe().centre == self.reference
+
+    @property
     def is_determined(self) -> bool:
         """Whether the frequencies determine the constant."""
         return self.verdict is Verdict.DATA and not self.is_open

@@ -6,10 +6,11 @@ Only the standard library is imported here; the question that a command asks loa
 from __future__ import annotations
 
 import argparse
+import json
 import logging
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from importlib import import_module
@@ -20,6 +21,7 @@ from cpam_bayes import __version__
 from cpam_bayes.command import STATUS_TEXT, Command
 
 if TYPE_CHECKING:
+    from cpam_bayes.plate import Specimen
     from cpam_bayes.result import Result
 
 COMMANDS: Final = {
@@ -74,7 +76,7 @@ def prepare(argv: Sequence[str]) -> Callable[[], int]:
         work = command.prepare(args)
     except ValueError as error:
         return partial(_refuse, error)
-    return partial(_finish, work, args)
+    return partial(_finish, work, args, command, {})
 
 
 def _refuse(error: ValueError) -> int:
@@ -88,8 +90,13 @@ def _not_shown(error: OSError) -> int:
     return NOT_WRITTEN
 
 
-def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
-    """Do the work, save its files, and show its answer even if they could not be saved."""
+def _finish(
+    work: Callable[[], Result], args: argparse.Namespace, command: Command, read: Mapping[str, Specimen]
+) -> int:
+    """Do the work, save its files, and show its answer even if they could not be saved.
+
+    read : the plates whose tables needed an answer, by their paths
+    """
     from cpam_bayes.parallel import WorkersLostError
     from cpam_bayes.render.files import save, save_tables, staging
     from cpam_bayes.render.terminal import forecasting
@@ -115,7 +122,14 @@ def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
             )
         raise
     except ValueError as error:
-        return _refuse(error)
+        try:
+            plate = None if args.json else _with_columns(error)
+        except ValueError as other:
+            return _refuse(other)
+        if plate is None:
+            return _refuse(error)
+        known = {**read, plate.source: plate}
+        return _finish(command.prepare(args, known), args, command, known)
     except (WorkersLostError, TimeIsUpError) as error:
         print(f"error: {error}", file=sys.stderr)
         return NOT_DONE
@@ -136,6 +150,35 @@ def _finish(work: Callable[[], Result], args: argparse.Namespace) -> int:
         print(f"error: {where}: {not_saved}; not all files are there", file=sys.stderr)
         return NOT_WRITTEN
     return 0 if answer.reached_goal else NOT_DONE
+
+
+def _with_columns(error: ValueError) -> Specimen | None:
+    """The plate with the columns of its table that a user at a terminal chose; None where none was asked."""
+    heads, file = getattr(error, "choices", ()), getattr(error, "source", "")
+    is_plate = file.casefold().endswith(".toml")  # a list of `prove` has nowhere to keep the answer
+    if not (heads and is_plate and _is_terminal(sys.stdin) and _is_terminal(sys.stdout)):
+        return None
+    from cpam_bayes.plate import read_specimen
+
+    listed = "".join(f"  {i}  {head}\n" for i, head in enumerate(heads, 1))
+    print(f"{file}: which column of its table has the frequencies?\n{listed}", end="", file=sys.stderr)
+    while True:
+        print(
+            "Its number, or all of them where each mode or hit has one: ", end="", file=sys.stderr, flush=True
+        )
+        try:
+            words = input().split()
+        except EOFError:
+            words = []
+        if not words:
+            return None
+        if all(word.isdecimal() and 0 < int(word) <= len(heads) for word in words):
+            break
+        print(f"  received {' '.join(words)!r}, accepted: 1 to {len(heads)}", file=sys.stderr)
+    chosen = [heads[int(word) - 1] for word in words]
+    value = json.dumps(chosen[0] if len(chosen) == 1 else chosen, ensure_ascii=False)
+    print(f"To keep this, {file} says\n  [measurement.columns]\n  hz = {value}", file=sys.stderr)
+    return read_specimen(file, chosen)
 
 
 def _is_terminal(stream: TextIO | None) -> bool:

@@ -14,6 +14,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from cpam_bayes.plate import Specimen
     from cpam_bayes.result import Result
 
 __all__ = [
@@ -119,8 +120,10 @@ class Command:
         for each in self.options:
             each.add_to(parser)
 
-    def prepare(self, args: argparse.Namespace) -> Callable[[], Result]:
-        """The call of the verb that the options ask for."""
+    def prepare(
+        self, args: argparse.Namespace, read: Mapping[str, Specimen] = MappingProxyType({})
+    ) -> Callable[[], Result]:
+        """The call of the verb that the options ask for; read : plates by the paths of their files."""
         positional: list[Any] = []
         named: dict[str, Any] = {"seed": args.seed} if self.seeded else {}
         for each in self.options:
@@ -137,7 +140,7 @@ class Command:
             from cpam_bayes.render.terminal import Terminal
 
             named["watch"] = Terminal(args.quiet)
-        return partial(self.verb, *positional, **named)
+        return partial(self.verb, *(read.get(str(value), value) for value in positional), **named)
 
 
 def whole(low: int, high: int) -> Callable[[str], int]:
@@ -194,7 +197,7 @@ EXECUTOR: Final = option(
     default="processes",
     metavar="WHERE",
     help="where the work is done: processes of this machine, serial: in this process, or dask://HOST:PORT: "
-    "a Dask cluster that is running; the answer is the same (default: processes)",
+    "a Dask cluster that is running (tls://HOST:PORT: with TLS); the answer is the same (default: processes)",
 )
 WORKERS: Final = option(
     "--workers",

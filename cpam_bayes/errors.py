@@ -22,6 +22,8 @@ class PlateFileError(ValueError):
     problems : each "file:line: key: what was wrong, the value received, what is accepted"
     gaps : those of them that miss something and name nothing wrong
     found : problem, path of its key and the phrase without the place, of those that are of a key
+    source : the file
+    choices : heads of its table, where all that is wrong is that any of them may be the frequencies
     """
 
     def __init__(
@@ -29,10 +31,14 @@ class PlateFileError(ValueError):
         *problems: str,
         gaps: tuple[str, ...] = (),
         found: tuple[tuple[str, tuple[str | int, ...], str], ...] = (),
+        source: str = "",
+        choices: tuple[str, ...] = (),
     ) -> None:
         super().__init__(*problems)
         self.gaps = gaps
         self.found = found
+        self.source = source
+        self.choices = choices
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -41,6 +47,10 @@ class PlateFileError(ValueError):
 
     def __str__(self) -> str:
         return "\n".join(self.problems)
+
+
+class LowFrequencyError(PlateFileError):
+    """First frequencies that are far below any mode of the plate as its file states it."""
 
 
 class ArgumentError(TypeError, ValueError):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -13,6 +14,7 @@ from cpam_bayes.priors import (
     LogUniform,
     Mixture,
     Prior,
+    Priors,
     ScaledStudentT,
     TruncatedLogNormal,
     TruncatedNormal,
@@ -20,6 +22,7 @@ from cpam_bayes.priors import (
 )
 
 __all__ = [
+    "Coupled",
     "LogUniform",
     "Mixture",
     "Parameter",
@@ -31,6 +34,26 @@ __all__ = [
     "Uniform",
     "read_only",
 ]
+
+
+# Normal scores are cut here, where probabilities are rounding.
+_MAX_SCORE = 8.0
+
+
+@dataclass(frozen=True, slots=True)
+class Coupled:
+    """The place of a parameter among some whose priors are correlated.
+
+    group : what they are of, the file that tells their correlations
+    correlation : of their normal scores, a row for each
+    row : of the parameter
+    unmeasured_sd : standard deviation that it would have without the file, None for that of its bounds alone
+    """
+
+    group: str
+    correlation: tuple[tuple[float, ...], ...]
+    row: int
+    unmeasured_sd: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +68,7 @@ class Parameter:
     kind : "scatter" for the relative deviation of a plate's constant from that of its material
     base : the name that it has where there is but one plate, or of the constant that it scatters about
     of : the plate, material or list that it belongs to, "" where there is but one
+    coupled : its place among others whose priors are correlated with its own, None where it is independent
     """
 
     name: str
@@ -55,11 +79,20 @@ class Parameter:
     kind: Literal["quantity", "scatter"] = "quantity"
     base: str = ""
     of: str = ""
+    coupled: Coupled | None = None
 
     @property
     def own(self) -> str:
         """Its name without the plate, material or list that it belongs to."""
         return self.base or self.name
+
+    @property
+    def unmeasured_sd(self) -> float:
+        """Standard deviation before any measurement, one of a former plate too."""
+        prior = self.prior
+        if self.coupled is None:
+            return prior.sd
+        return self.coupled.unmeasured_sd or (prior.upper - prior.lower) / math.sqrt(12.0)
 
     @property
     def display(self) -> tuple[str, float]:
@@ -73,17 +106,21 @@ class ParameterSet:
 
     parameters : the ones that vary, `size` of them
     fixed : (name, value) of the ones held at a value; `mapping` gives them too
+    root : (size, size) lower, L with L L^T the correlation of the priors' normal scores, a Gaussian copula;
+        None where all are independent
     raises ValueError when a name occurs twice
     """
 
     parameters: tuple[Parameter, ...]
     fixed: tuple[tuple[str, float], ...] = ()
+    root: NDArray[np.float64] | None = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         names = [*self.names, *(name for name, _ in self.fixed)]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ValueError(f"names of parameters: received {twice} more than once")
+        object.__setattr__(self, "root", _root(self.parameters))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -182,8 +219,13 @@ class ParameterSet:
         columns = np.broadcast_arrays(*(np.asarray(mapping[name]) for name in self.names))
         return np.stack(columns, axis=-1)
 
+    @property
+    def precision(self) -> NDArray[np.float64]:
+        """Inverse of the correlation of the priors' normal scores, (size, size)."""
+        return np.eye(self.size) if self.root is None else read_only(np.linalg.inv(self.root @ self.root.T))
+
     def log_prior(self, x: ArrayLike) -> NDArray[np.float64]:
-        """Log density of independent priors, (..., size) -> (...), -inf outside any bound.
+        """Log density of the priors, (..., size) -> (...), -inf outside any bound.
 
         raises ValueError when the last axis is not `size` long
         """
@@ -191,6 +233,11 @@ class ParameterSet:
         total = np.zeros(x.shape[:-1])
         for i, parameter in enumerate(self.parameters):
             total = total + parameter.prior.log_density(x[..., i])
+        if self.root is not None:
+            scores = np.clip(self._priors.to_normal(x), -_MAX_SCORE, _MAX_SCORE)
+            free = scores @ np.linalg.inv(self.root).T
+            total = total + 0.5 * np.sum(scores**2 - free**2, axis=-1)
+            total = total - np.log(np.diag(self.root)).sum()
         return np.asarray(total)
 
     def sample(self, rng: np.random.Generator, size: int) -> NDArray[np.float64]:
@@ -198,7 +245,16 @@ class ParameterSet:
         draws = np.empty((size, self.size))
         for i, parameter in enumerate(self.parameters):
             draws[:, i] = parameter.prior.sample(rng, size)
+        if self.root is not None:
+            moved = self._priors.from_normal(self._priors.to_normal(draws) @ self.root.T)
+            for i, parameter in enumerate(self.parameters):
+                if parameter.coupled is not None:
+                    draws[:, i] = moved[:, i]
         return draws
+
+    @property
+    def _priors(self) -> Priors:
+        return Priors(tuple(p.prior for p in self.parameters))
 
     def _require(self, names: Mapping[str, float] | tuple[str, ...]) -> None:
         unknown = [name for name in names if name not in self]
@@ -213,6 +269,22 @@ class ParameterSet:
                 f"accepted: (..., {self.size}) for {list(self.names)}"
             )
         return array
+
+
+def _root(parameters: tuple[Parameter, ...]) -> NDArray[np.float64] | None:
+    """`ParameterSet.root`; what is missing of a group is integrated over."""
+    groups: dict[Any, list[int]] = {}
+    for i, parameter in enumerate(parameters):
+        if parameter.coupled is not None:
+            key = (parameter.coupled.group, parameter.coupled.correlation, parameter.of)
+            groups.setdefault(key, []).append(i)
+    if not groups:
+        return None
+    root = np.eye(len(parameters))
+    for (_, correlation, _), columns in groups.items():
+        rows = [c.row for c in (parameters[i].coupled for i in columns) if c is not None]
+        root[np.ix_(columns, columns)] = np.linalg.cholesky(np.array(correlation)[np.ix_(rows, rows)])
+    return read_only(root)
 
 
 def read_only(values: ArrayLike) -> NDArray[np.float64]:

@@ -190,7 +190,7 @@ class Result:
         ValueError
             If no posterior was sampled.
         """
-        raise ValueError(f"to_arviz: {self.command} samples no posterior; `sample` and `sequence` do")
+        raise ValueError(f"to_arviz: {self.command} has no draws; `identify`, `sample` and `sequence` have")
 
     def _repr_html_(self) -> str:
         from cpam_bayes.render.page import fragment

@@ -263,6 +263,17 @@ _MODEL: Final = re.compile(
 )
 
 
+def opened_draws(file: str | os.PathLike[str]) -> Any:
+    """The groups of a posterior's file as an ``xarray.DataTree``, in memory; the file is closed.
+
+    Raises ``OSError``, ``ValueError`` and others that the reader of a damaged file raises.
+    """
+    import xarray  # heavy
+
+    with xarray.open_datatree(os.fspath(file)) as data:
+        return data.load()
+
+
 def cache_directory() -> Path:
     """Where results are kept by default: $CPAM_BAYES_CACHE, or the system's place for caches of a user."""
     chosen = os.environ.get(DIRECTORY_VARIABLE)

@@ -14,19 +14,31 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t
+from scipy.special import ndtr, ndtri
 
-from cpam_bayes.plate import USER_UNITS, to_si, to_user, unit_of
+from cpam_bayes.plate import USER_UNITS, to_si, to_user, unit_of, user_name
 from cpam_bayes.plate.laminate import CONSTANTS
 
 __all__ = ["ControlChart", "Limit", "MarginalPosterior", "control_chart", "read_limit"]
 
 _FORM: Final = re.compile(r"\s*(\w+)\s*(>=|<=|>|<)\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([a-zA-Z]*)\s*")
+# Decimal commas, and signs as documents have them.
+_AS_TYPED: Final = str.maketrans(
+    {",": ".", "\N{GREATER-THAN OR EQUAL TO}": ">=", "\N{LESS-THAN OR EQUAL TO}": "<="}
+)
 # Units that a limit may be written in, and their size in that of the plate file.
 _UNITS: Final = {"GPa": {"": 1.0, "GPa": 1.0, "MPa": 1e-3, "Pa": 1e-9}, "": {"": 1.0}}
 # Stiffer than any ply, GPa: a number above it was meant in another unit.
 _STIFFEST: Final = 2000.0
-_NAMES: Final = {user: name for user, (name, _) in USER_UNITS.items() if name in CONSTANTS}
+# A number that may have thousands or decimals, 125,000 MPa.
+_THOUSANDS: Final = re.compile(r"[1-9]\d{0,2}\.\d{3}")
+# As in a plate file, or as in tables.
+_NAMES: Final = {
+    written: name
+    for user, (name, _) in USER_UNITS.items()
+    if name in CONSTANTS
+    for written in dict.fromkeys((user, name))
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,14 +59,10 @@ class Limit:
 
 @dataclass(frozen=True, slots=True)
 class MarginalPosterior:
-    """The posterior of one constant: a Student-t about its optimum, cut at the bounds of its prior, SI.
-
-    freedom : degrees of freedom, infinite for a Gaussian
-    """
+    """The posterior of one constant: a Gaussian about its mean, cut at the bounds of its prior, SI."""
 
     centre: float
     sd: float
-    freedom: float
     lower: float
     upper: float
 
@@ -75,11 +83,11 @@ class MarginalPosterior:
     def draws(self, rng: np.random.Generator, n: int) -> NDArray[np.float64]:
         """Draws of the constant, (n,)."""
         u = rng.uniform(self._mass(self.lower), self._mass(self.upper), n)
-        drawn = self.centre + self.sd * t.ppf(u, self.freedom)
+        drawn = self.centre + self.sd * ndtri(u)
         return np.asarray(np.clip(drawn, self.lower, self.upper))
 
     def _mass(self, value: float) -> float:
-        return float(t.cdf((value - self.centre) / self.sd, self.freedom))
+        return float(ndtr((value - self.centre) / self.sd))
 
 
 def read_limit(text: str) -> Limit:
@@ -87,19 +95,26 @@ def read_limit(text: str) -> Limit:
 
     raises ValueError for a text that is none
     """
-    match = _FORM.fullmatch(text)
+    match = _FORM.fullmatch(text.translate(_AS_TYPED))
     if match is None or not _is_number(match[3]):
         raise ValueError(
             f'limit: received {text!r}, accepted: a constant, >= or <=, a number: "E1_GPa >= 115"'
         )
     name, sign, number, unit = match.groups()
     if name not in _NAMES:
-        raise ValueError(f"limit: received {text!r}, constants that have limits: {' '.join(_NAMES)}")
+        each = " ".join(dict.fromkeys(map(user_name, _NAMES.values())))
+        raise ValueError(f"limit: received {text!r}, constants that have limits: {each}")
+    name = user_name(_NAMES[name])
     units = _UNITS[unit_of(_NAMES[name])]
     if unit not in units:
         accepted = " ".join(each for each in units if each) or "a number without a unit"
         raise ValueError(f"limit: received {text!r}, the unit {unit}, accepted: {accepted}")
     value = float(number) * units[unit]
+    if units[unit] < 1.0 and _THOUSANDS.fullmatch(number):
+        raise ValueError(
+            f"limit: received {text!r}, thousands or decimals? accepted: {number.replace('.', '')} {unit} or "
+            f"{float(number):g} {unit}"
+        )
     if len(units) > 1 and abs(value) > _STIFFEST:
         raise ValueError(
             f"limit: received {text!r}, {value:g} GPa, accepted: up to {_STIFFEST:g} GPa; write the unit "

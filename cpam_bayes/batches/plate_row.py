@@ -98,7 +98,6 @@ class LocalLikelihood:
 class PlateDiagnosis:
     """The claim about one plate, as of `diagnose`.
 
-    probability_beside : that anything acts beside a claimed cause
     size : of the most probable of the causes in its most probable variant, SI, None where it has none
     """
 
@@ -106,7 +105,6 @@ class PlateDiagnosis:
     causes: tuple[str, ...]
     probability: float
     probability_none: float
-    probability_beside: float = 0.0
     size: float | None = None
 
 
@@ -119,7 +117,7 @@ class PlateRow:
     rms : of the relative residuals; noise : relative standard deviation that the intervals assume
     misfit : over the stated noise, as of `PointEstimate`; 1 where that explains it
     slip : of the plate file without which it fits, with the number of its mode or frequency
-    areal_mass : kg/m2 of a plate that was weighed
+    density : kg/m3 of a plate that was weighed, by its stated sizes
     certificate : laboratory, operator and date of its file
     remarks : what its list may have wrong, and what was left out or added by hand
     all_rows : the constants with all rows of a list that some were left out of
@@ -138,7 +136,7 @@ class PlateRow:
     search: str = ""
     misfit: float = 1.0
     slip: tuple[str, int] | None = None
-    areal_mass: float | None = None
+    density: float | None = None
     certificate: tuple[tuple[str, str], ...] = ()
     remarks: tuple[str, ...] = ()
     all_rows: tuple[RowConstant, ...] = ()
@@ -202,13 +200,12 @@ def computed_row(
     diagnosis: PlateDiagnosis | None = None,
     slip: tuple[str, int] | None = None,
 ) -> PlateRow:
-    """The row of a plate with its point estimates by relative residuals.
+    """The row of a plate with the moments of its posterior.
 
     message : what the identification warns of; search : how its swarms ended; slip : as of `PlateRow`
     """
     specimen = estimate.specimen
     likelihood = local_likelihood(estimate)
-    marginals = _marginals(estimate, likelihood)
     return PlateRow(
         file=file,
         name=specimen.name,
@@ -222,10 +219,10 @@ def computed_row(
                 c.sd,
                 *((float("nan"),) * 2 if c.interval is None else c.interval),
                 c.verdict,
-                marginal,
+                MarginalPosterior(c.value, c.sd, c.prior.lower, c.prior.upper),
                 _decided_by(estimate, c.name, c.sd / c.value),
             )
-            for c, marginal in zip(estimate.constants, marginals, strict=True)
+            for c in estimate.constants
         ),
         likelihood=likelihood,
         diagnosis=diagnosis,
@@ -277,39 +274,14 @@ def _with_noise(estimate: PointEstimate, measurement: Measurement) -> Measuremen
     return replace(measurement, relative_std=float(np.clip(estimate.misfit * level, 1e-6, 1.0)))
 
 
-def _marginals(estimate: PointEstimate, likelihood: LocalLikelihood) -> list[MarginalPosterior]:
-    """Laplace's approximation of the marginals, bounded by their priors.
-
-    A constant that the data leave open keeps the width of its prior, as in `gauss_newton_covariance`.
-    """
-    unknowns = estimate.specimen.unknowns
-    priors = [unknowns[name].prior for name in likelihood.names]
-    curvature = np.diag([prior.sd**-2.0 for prior in priors])
-    covariance = np.linalg.inv(np.array(likelihood.information) + curvature)
-    numbers = [prior.describe() for prior in priors]
-    pull = np.array(
-        [
-            0.0 if n.centre is None else (n.centre - at) / n.scale**2
-            for n, at in zip(numbers, likelihood.at, strict=True)
-        ]
-    )
-    centre = np.array(likelihood.at) + covariance @ (np.array(likelihood.gradient) + pull)
-    n = len(estimate.predicted) - len(estimate.constants)
-    freedom = float(n) if estimate.noise_is_inferred and n > 0 else float("inf")
-    return [
-        MarginalPosterior(float(c), float(sd), freedom, prior.lower, prior.upper)
-        for c, sd, prior in zip(centre, np.sqrt(np.diagonal(covariance)), priors, strict=True)
-    ]
-
-
-def diagnosed(specimen: Specimen, *, pairs: bool = True) -> PlateDiagnosis:
+def diagnosed(specimen: Specimen, *, sets: bool = True) -> PlateDiagnosis:
     """The claim, without what `diagnose` adds to it: the gain, detectable sizes, further tests.
 
-    pairs : whether two causes at once are weighed
+    sets : whether several causes at once are weighed
     """
     cases = [plate_case(specimen)]
     hypotheses = hypotheses_of(cases, CATALOGUE)
-    found = diagnose_cases(cases, hypotheses=hypotheses, pairs=pairs, gain=False, power=False)
+    found = diagnose_cases(cases, hypotheses=hypotheses, sets=sets, gain=False, power=False)
     none = found.weighed.by_cause().get("none", 0.0)
     claim = found.claim
     first = next((c for c in found.causes if c.name in claim.causes), None)
@@ -321,19 +293,18 @@ def diagnosed(specimen: Specimen, *, pairs: bool = True) -> PlateDiagnosis:
         tuple(named) if len(named) == len(claim.causes) else tuple(claim.causes),
         float(claim.probability),
         float(none),
-        float(found.probability_beside),
         float(sizes[0]) if sizes else None,
     )
 
 
 # To be raised when the same inputs give other numbers.
-_FORMAT: Final = 2
+_FORMAT: Final = 3
 
 
 def row_key(specimen: Specimen, seed: int, diagnosis: bool | Literal["brief"], sources: str) -> str:
     """Hash of all that a row depends on: the plate as it is computed, its list, the seed.
 
-    diagnosis : "brief" for that of a plate that misfits, without pairs of causes
+    diagnosis : "brief" for that of a plate that misfits, without sets of causes
     sources : fingerprint of the code that computes it
     """
     measurement, plate = specimen.measurement, specimen.plate

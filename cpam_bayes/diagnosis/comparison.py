@@ -9,18 +9,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.diagnosis.hypotheses import OTHER, Hypothesis
+from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, Hypothesis
 from cpam_bayes.diagnosis.models import PlateModels, extended_model, plate_models
 from cpam_bayes.effects import Effect
 from cpam_bayes.effects.effect import MISREADING
 from cpam_bayes.forward_model.composed import Change, ComposedModel, Part
+from cpam_bayes.forward_model.known_errors import common_covariance, number_of
 from cpam_bayes.forward_model.labels import ShapePairing
 from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.model import ForwardModel
 from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.identification.density import deviation
 from cpam_bayes.inference.derivatives import NormalScores
 from cpam_bayes.inference.log_density import Listed, LogDensity
-from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedLogNormal, TruncatedNormal
+from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedLogNormal
 from cpam_bayes.plate import Measurement
 
 Array = NDArray[Any]
@@ -68,6 +71,7 @@ class PlateCase:
         self, effect: Effect, notify: Callable[[str], None] = lambda text: None
     ) -> ReducedModel | LocalModel:
         """The reduced model of the plate with an effect, built when first asked for."""
+        effect = effect.repeats or effect
         key = (effect.name, effect.variant)
         if key not in self.extended:
             self.extended[key] = extended_model(self.models, effect, notify)
@@ -108,7 +112,20 @@ def comparison_of(
         lists.append(listed)
     model = ComposedModel(ParameterSet(tuple(joint.parameters)), tuple(parts))
     names = [case.name for case in cases]
-    return _compared(model, lists, names, joint, next(iter(of_plate.values()), None))
+    each = enumerate(zip(cases, parts, strict=True))
+    common = common_covariance([_tolerances(case, part, of_plate.get(i)) for i, (case, part) in each])
+    return _compared(model, lists, names, joint, next(iter(of_plate.values()), None), common)
+
+
+def _tolerances(
+    case: PlateCase, part: Part, hypothesis: Hypothesis | None
+) -> tuple[str, int, Mapping[str, Array]]:
+    """Specimen, number of frequencies, and their errors in common; a number taken for wrong has none."""
+    specimen, known = case.models.specimen, case.models.tolerances
+    effects = () if hypothesis is None else hypothesis.effects
+    wrong = {number_of(effect.name, specimen.plate) for effect in effects}
+    errors = {n: e[np.minimum(part.modes, len(e) - 1)] for n, e in known.items() if n not in wrong}
+    return specimen.specimen, len(part.modes), errors
 
 
 @dataclass(slots=True)
@@ -153,10 +170,7 @@ def _part(
         if not (several and parameter.name in models.specimen.unknowns):
             scatter.append(-1)
             continue
-        prior = TruncatedNormal(0.0, joint.scatter, -4 * joint.scatter, 4 * joint.scatter)
-        name = f"scatter of {parameter.name}, {specimen}"
-        deviation = Parameter(name, "", prior, kind="scatter", base=parameter.name, of=specimen)
-        scatter.append(joint.add(deviation))
+        scatter.append(joint.add(deviation(parameter, specimen, joint.scatter)))
     f, kept = case.measurement.frequencies, np.flatnonzero(case.modes >= 0)
     modes, log_constant, misread = case.modes[kept], case.log_pairing, None
     changes: list[Change] = []
@@ -201,13 +215,16 @@ def _compared(
     names: list[str],
     joint: _Joint,
     hypothesis: Hypothesis | None,
+    common: Array,
 ) -> LogDensity:
+    frequencies = np.concatenate([one.frequencies for one in lists])
     listed = Listed(
-        np.concatenate([one.frequencies for one in lists]),
+        frequencies,
         np.concatenate([one.variance for one in lists]),
         np.concatenate([one.scale for one in lists]),
         sum(one.log_constant for one in lists),
         np.repeat(np.arange(len(lists)), [len(one.frequencies) for one in lists]),
+        np.outer(frequencies, frequencies) * common if common.any() else None,
     )
     parameters, amplitudes = list(joint.parameters), []
     for i, one in enumerate(lists):
@@ -216,9 +233,9 @@ def _compared(
         if inferred:
             parameters.append(NOISE if len(lists) == 1 else _repeatability(names, i))
     discrepancy, length = None, 0.0
-    if hypothesis is not None and hypothesis.cause == OTHER:
+    if hypothesis is not None and hypothesis.correlation_length is not None:
         discrepancy, length = len(parameters), hypothesis.correlation_length
-        parameters.append(hypothesis.parameters[0])
+        parameters.append(DISCREPANCY)
     every = ParameterSet(tuple(parameters))
     scores = NormalScores(every)
     return LogDensity(model, listed, every, scores, tuple(amplitudes), discrepancy, length)
@@ -230,16 +247,50 @@ def _repeatability(names: list[str], i: int) -> Parameter:
     return replace(NOISE, name=f"{NOISE.name} of {of}", base=NOISE.name, of=of)
 
 
+# Over which ratio of frequencies, as a logarithm, the error of an effect's form is much the same.
+_FORM_LENGTH = 0.8
+# Part of the noise below which such an error does not count.
+_NEGLIGIBLE = 0.1
+
+
+def with_form_error(comparison: LogDensity, hypothesis: Hypothesis, x: Array) -> LogDensity:
+    """The comparison with the errors of its effects' forms at parameters x (n,), itself where they are small.
+
+    kappa^2 D R D in the covariance for every effect, D = diag of its shifts of the frequencies and R their
+    correlation over 0.8 in ln f: no plate has an effect of exactly the catalogue's form.
+    """
+    added = np.zeros((len(comparison.listed.frequencies),) * 2)
+    for effect in hypothesis.effects:
+        if effect.form_error == 0.0:
+            continue
+        without = x.copy()
+        without[list(effect_columns(comparison, hypothesis, effect.sizes))] = [
+            effect.null[p.name] for p in effect.sizes
+        ]
+        try:
+            f, _ = comparison.predict(np.stack((without, x)))
+        except RigidBodyError:
+            continue
+        d = effect.form_error * (f[1] - f[0])
+        added += d[:, None] * comparison.listed.correlation(_FORM_LENGTH) * d
+    if np.all(np.diagonal(added) < _NEGLIGIBLE**2 * comparison.variance(x[None])[0]):
+        return comparison
+    common = added if comparison.listed.common is None else comparison.listed.common + added
+    return replace(comparison, listed=replace(comparison.listed, common=common))
+
+
 def smooth_columns(comparison: LogDensity, hypothesis: Hypothesis) -> tuple[int, ...]:
     """Those of the hypothesis's columns that Laplace's method integrates well wherever they are left open."""
     each = zip(effect_columns(comparison, hypothesis), hypothesis.parameters, strict=True)
     return tuple(column for column, p in each if p.name in hypothesis.smooth)
 
 
-def effect_columns(comparison: LogDensity, hypothesis: Hypothesis) -> tuple[int, ...]:
-    """Columns of a hypothesis's parameters in the joint vector, one for each."""
+def effect_columns(
+    comparison: LogDensity, hypothesis: Hypothesis, of: Sequence[Parameter] | None = None
+) -> tuple[int, ...]:
+    """Columns of a hypothesis's parameters, or of some of them, in the joint vector, one for each."""
     joint = comparison.parameters.parameters
     return tuple(
         next(i for i, q in enumerate(joint) if q.kind != "scatter" and q.own == p.name)
-        for p in hypothesis.parameters
+        for p in (hypothesis.parameters if of is None else of)
     )

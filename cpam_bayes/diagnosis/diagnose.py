@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -27,16 +26,25 @@ from cpam_bayes.diagnosis.comparison import SCATTER, PlateCase
 from cpam_bayes.diagnosis.evidence.marginal import Marginal, best_log_likelihood
 from cpam_bayes.diagnosis.evidence.sampled import shared_out
 from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed, weigh
-from cpam_bayes.diagnosis.fit import Fit, Gain, PredictiveChecks, fit_of, gain_of, within_stated_noise
+from cpam_bayes.diagnosis.fit import (
+    Fit,
+    Gain,
+    PredictiveChecks,
+    fit_of,
+    gain_of,
+    leftover_of,
+    misfit_beyond_noise,
+    within_stated_noise,
+)
 from cpam_bayes.diagnosis.hypotheses import (
     CLAIM_RULES,
     NONE,
     OTHER,
-    PAIR,
     Claim,
     Hypothesis,
     causes_in,
     claim_of,
+    inclusion_of,
 )
 from cpam_bayes.diagnosis.signatures import (
     Menu,
@@ -78,6 +86,7 @@ class Cause:
     absorbed : by the constants
     visible : fraction of its signature that the constants do not imitate
     bias : name -> relative change of a constant that imitates it
+    leftover : what nothing explains beside it, relative, averaged over its variants
     hypothesis : the most probable variant, with its effects and how their parameters are shown
     """
 
@@ -94,11 +103,12 @@ class Cause:
     absorbed: bool
     visible: float
     bias: Mapping[str, float]
+    leftover: float
     hypothesis: Hypothesis
 
     @property
-    def is_pair(self) -> bool:
-        """Whether it is two at once."""
+    def is_set(self) -> bool:
+        """Whether it is several at once."""
         return len(causes_in(self.name)) > 1
 
 
@@ -155,17 +165,23 @@ class Diagnosis:
     @property
     def tested_causes(self) -> tuple[str, ...]:
         """Names of the single causes that were tested, the most probable first."""
-        return tuple(c.name for c in self.causes if c.name not in (NONE, OTHER) and not c.is_pair)
+        return tuple(c.name for c in self.causes if c.name not in (NONE, OTHER) and not c.is_set)
 
     @property
     def hidden_causes(self) -> tuple[Cause, ...]:
         """Single causes of which the constants leave little to be seen, the best hidden first."""
-        hidden = [c for c in self.causes if c.visible < _HIDDEN and c.parameters and not c.is_pair]
+        hidden = [c for c in self.causes if c.visible < _HIDDEN and c.parameters and not c.is_set]
         return tuple(sorted(hidden, key=lambda cause: cause.visible))
 
-    def inclusion(self, cause: str) -> float:
-        """Probability that a cause acts, alone or beside another."""
-        return sum(c.probability for c in self.causes if cause in causes_in(c.name))
+    @property
+    def inclusion(self) -> Mapping[str, float]:
+        """Probability that each cause acts, alone or beside others, the most probable first."""
+        return inclusion_of({c.name: c.probability for c in self.causes})
+
+    @property
+    def several(self) -> Cause:
+        """The most probable set that holds all that is claimed."""
+        return next(c for c in self.causes if set(self.claim.causes) <= set(causes_in(c.name)))
 
     @property
     def claimed(self) -> frozenset[str]:
@@ -175,22 +191,17 @@ class Diagnosis:
         return frozenset(t.hypothesis.cause for t, _ in self.members)
 
     @property
-    def beside(self) -> Mapping[str, float]:
-        """Possible causes beside a claimed one, with the probability of the two, the most probable first."""
-        partners: dict[str, float] = defaultdict(float)
-        if self.claim.kind in ("named", "class"):
-            for cause in self.causes:
-                two = causes_in(cause.name)
-                inside = [name for name in self.claim.causes if name in two]
-                if len(two) > 1 and inside:
-                    partner = next((name for name in two if name not in inside), inside[-1])
-                    partners[partner] += cause.probability
-        return dict(sorted(partners.items(), key=lambda entry: -entry[1]))
+    def leftover(self) -> tuple[float, float]:
+        """Probability that nothing explains a part of the misfit beside the claim, and its relative size."""
+        return leftover_of(self.members)
 
     @property
-    def probability_beside(self) -> float:
-        """That anything acts beside a claimed cause."""
-        return sum(self.beside.values())
+    def beside(self) -> Mapping[str, float]:
+        """Causes that may act beside what is claimed, with their inclusion probabilities."""
+        if self.claim.kind not in ("named", "class", "pair"):
+            return {}
+        others = {c: p for c, p in self.inclusion.items() if c not in self.claim.causes}
+        return {c: p for c, p in others.items() if p >= CLAIM_RULES.beside}
 
 
 @single_blas_thread
@@ -199,7 +210,7 @@ def diagnose_cases(
     *,
     hypotheses: Sequence[tuple[Hypothesis, tuple[int, ...]]] | None = None,
     scatter: float = SCATTER,
-    pairs: bool = True,
+    sets: bool = True,
     gain: bool = True,
     power: bool = True,
     executor: Executor | None = None,
@@ -221,7 +232,7 @@ def diagnose_cases(
         hypotheses = hypotheses_of(cases)
     notify(f"weighing {len(hypotheses)} hypotheses")
     weighed = weigh(
-        cases, hypotheses, scatter=scatter, pairs=pairs, executor=executor, progress=progress, so_far=so_far
+        cases, hypotheses, scatter=scatter, sets=sets, executor=executor, progress=progress, so_far=so_far
     )
     best = {name: weighed.best_of(name) for name in weighed.by_cause()}
     projector = projector_of(weighed.none.marginal)
@@ -300,8 +311,7 @@ def _causes(
     projector: Projector,
     executor: Executor | None,
 ) -> tuple[Cause, ...]:
-    pairs = {t.hypothesis.cause for t in weighed.tested if t.hypothesis.family == PAIR}
-    names = [name for name in signatures if name not in pairs]
+    names = [name for name in signatures if len(causes_in(name)) == 1]
     of_singles = [signatures[name] for name in names]
     menus: dict[str, list[Menu]] = {name: [] for name in names}
     for t in weighed.tested:
@@ -336,6 +346,7 @@ def _causes(
                 absorbed=signature.is_absorbed if signature else False,
                 visible=signature.visible_fraction if signature else 1.0,
                 bias=_bias(weighed.none.marginal, signature) if signature else {},
+                leftover=float(np.prod(leftover_of(weighed.variants_of(name)))),
                 hypothesis=t.hypothesis,
             )
         )
@@ -359,9 +370,10 @@ def _parameters(t: Tested) -> dict[str, tuple[float, float, str]]:
 def _bias(none: Marginal, signature: Signature) -> dict[str, float]:
     """Relative change of each constant that imitates the cause, to first order."""
     x = none.best
-    dx = none.comparison.scores.slope(x[None], none.comparison.scores.to_z(x[None]))[0]
+    scores = none.comparison.scores
+    dx = scores.by_score(np.eye(len(x))[None], x[None], scores.to_z(x[None]))[0] @ signature.bias
     names = none.comparison.model.parameters.names
-    return {name: float(signature.bias[i] * dx[i] / x[i]) for i, name in enumerate(names) if x[i] != 0.0}
+    return {name: float(dx[i] / x[i]) for i, name in enumerate(names) if x[i] != 0.0}
 
 
 def _reweighed(causes: Sequence[Cause], weighed: Weighed) -> list[Cause]:
@@ -374,15 +386,17 @@ def _reweighed(causes: Sequence[Cause], weighed: Weighed) -> list[Cause]:
 
 
 def _claim(weighed: Weighed, causes: Sequence[Cause], checks: PredictiveChecks) -> Claim:
-    pairs = {t.hypothesis.cause: t.hypothesis.causes for t in weighed.tested if t.hypothesis.family == PAIR}
+    plain = misfit_beyond_noise(weighed.none)
 
     def explained(name: str) -> bool:
-        return checks.p_value(weighed.best_of(name)) > EXPLAINED
+        best = weighed.best_of(name)
+        if best.hypothesis.has_leftover and misfit_beyond_noise(best) > CLAIM_RULES.halved * plain:
+            return False
+        return checks.p_value(best) > EXPLAINED
 
     return claim_of(
         {c.name: c.probability for c in causes},
         {c.name: c.log_bayes_factor for c in causes},
-        pairs,
         explained,
         is_cut_short=weighed.is_cut_short,
     )

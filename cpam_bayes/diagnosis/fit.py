@@ -62,6 +62,32 @@ def explains(tested: Tested) -> float:
     return float(weight @ p.max(axis=0) / weight.sum())
 
 
+def misfit_beyond_noise(tested: Tested) -> float:
+    """Root mean square of what a hypothesis leaves of the lists beyond noise, relative.
+
+    Of its most probable parameters; a noise that is inferred counts with the median of its prior, and what
+    nothing explains does not count as noise.
+    """
+    comparison = tested.marginal.comparison
+    z = tested.marginal.z[:1].copy()
+    predicted, _ = comparison.predict(comparison.scores.to_x(z))
+    z[:, comparison.model.parameters.size :] = 0.0
+    noise = replace(comparison, discrepancy=None).variance(comparison.scores.to_x(z))
+    f = comparison.listed.frequencies
+    left = np.mean(((f - predicted) / f) ** 2) - np.mean(noise / f**2)
+    return float(np.sqrt(max(left, 0.0)))
+
+
+def leftover_of(members: Sequence[tuple[Tested, float]]) -> tuple[float, float]:
+    """Fraction of hypotheses in which something is left that nothing explains, and its size, relative."""
+    fraction = size = 0.0
+    for t, weight in members:
+        if (column := t.marginal.comparison.discrepancy) is not None:
+            fraction += weight
+            size += weight * float(t.marginal.moments()[0][column])
+    return fraction, size / fraction if fraction > 0.0 else 0.0
+
+
 def within_stated_noise(tested: Tested, n_constants: int) -> bool:
     """Whether noise as stated explains what a hypothesis leaves of the lists, by `birge_ratio`.
 
@@ -72,8 +98,10 @@ def within_stated_noise(tested: Tested, n_constants: int) -> bool:
     listed = marginal.comparison.listed
     predicted, _ = marginal.comparison.predict(marginal.best[None])
     stated = listed.scale == 0.0
-    standardised = (listed.frequencies - predicted[0])[stated] / np.sqrt(listed.variance[stated])
-    return birge_ratio(standardised, n_constants) == 1.0
+    covariance = np.diag(listed.variance) + (0.0 if listed.common is None else listed.common)
+    root = np.linalg.cholesky(covariance[np.ix_(stated, stated)])
+    white = np.linalg.solve(root, (listed.frequencies - predicted[0])[stated])
+    return birge_ratio(np.asarray(white, dtype=np.float64), n_constants) == 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +147,7 @@ def _refitted(comparison: LogDensity, z: Array, amplitudes: Array) -> tuple[Arra
     x = comparison.scores.to_x(z)
     predicted, jacobian = comparison.predict(x, jacobian=True)
     assert jacobian is not None
-    slope = (jacobian * comparison.scores.slope(x, z)[:, None, :])[:, :, free]
+    slope = comparison.scores.by_score(jacobian, x, z)[:, :, free]
     at = np.repeat(x[:, None], a, axis=1)
     if comparison.noise is not None:
         at[:, :, [c for c in comparison.amplitudes if c >= 0]] = amplitudes[:, None]
@@ -196,6 +224,7 @@ def fit_of(members: Sequence[tuple[Tested, float]], whole: Array, checks: Predic
         f, _ = comparison.predict(x)
         v = comparison.variance(x)
         freedom = f.shape[1]
+        tail.append(chi2.sf(comparison.misfit(x, f), freedom))
         if freedom < len(whole):  # a false peak is predicted as measured
             kept = kept_of(whole, comparison.listed.frequencies)
             f_all, v_all = np.tile(whole, (len(x), 1)), np.full((len(x), len(whole)), np.median(v))
@@ -205,7 +234,6 @@ def fit_of(members: Sequence[tuple[Tested, float]], whole: Array, checks: Predic
         draws.append(x[:, [names.index(n) for n in kept_names]])
         predicted.append(f)
         variance.append(v)
-        tail.append(chi2.sf(np.sum((whole - f) ** 2 / v, axis=1), freedom))
     x, f, v = np.concatenate(draws), np.concatenate(predicted), np.concatenate(variance)
     whole_prior = prior_of([t for t, _ in members])
     low, high = np.quantile(x, (0.025, 0.975), axis=0)

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Final, Literal
+
+import numpy as np
 
 from cpam_bayes.effects import (
     CATALOGUE,
@@ -18,13 +21,17 @@ from cpam_bayes.effects import (
 from cpam_bayes.effects.effect import GROSS_FRACTION, PERCENT, one_sided
 from cpam_bayes.parameters import Parameter
 
-NONE, OTHER, PAIR = "none", "other", "pair"
-# Between the names of two causes that act at once.
+NONE, OTHER, SET = "none", "other", "set"
+# Between the names of causes that act at once.
 _TOGETHER = " + "
 
-# Prior probabilities: that nothing is wrong, that something is which no cause describes, that two causes
-# act at once; the rest is divided evenly over the families, and in a family over its causes.
-P_NONE, P_OTHER, P_PAIR = 0.50, 0.05, 0.02
+# Prior probabilities: that nothing is wrong, that something is which no cause describes, that so many causes
+# act at once; the rest is divided evenly over the families, and in a family over its causes. Whatever causes
+# act, something is left over beside them that none describes as probably as beside none.
+P_NONE, P_OTHER = 0.50, 0.05
+P_SETS: Final[Mapping[int, float]] = {2: 0.055, 3: 0.015}
+P_SINGLE = 1.0 - P_NONE - P_OTHER - sum(P_SETS.values())
+_LEFTOVER = P_OTHER / (P_NONE + P_OTHER)
 _NO_ERROR = ListChange()
 # Scatter of all modes that nothing explains.
 DISCREPANCY = one_sided("discrepancy", "", 0.01, end=0.5, shown=PERCENT)
@@ -44,7 +51,8 @@ class Hypothesis:
     parameters : of all of these
     prior : probability of this variant
     unmodelled : effects that have no model: on the list, or on what is known of the constants
-    correlation_length : of a discrepancy, over ln f; 0 where it is white
+    correlation_length : of what nothing explains, over ln f, 0 where it is white; None where there is none
+    parts : the causes of a set, one by one; none of a single cause
     """
 
     cause: str
@@ -55,17 +63,33 @@ class Hypothesis:
     parameters: tuple[Parameter, ...] = ()
     prior: float = 0.0
     unmodelled: tuple[Effect, ...] = ()
-    correlation_length: float = 0.0
+    correlation_length: float | None = None
+    parts: tuple[Hypothesis, ...] = ()
+
+    @property
+    def instances(self) -> tuple[Hypothesis, ...]:
+        """The causes that act, one by one; none and other by themselves."""
+        return self.parts or (self,)
 
     @property
     def records(self) -> tuple[Effect, ...]:
-        """The effects that act: one, two of a pair, none."""
+        """The effects that act: one, several of a set, none."""
         return self.effects + self.unmodelled
 
     @property
     def causes(self) -> tuple[str, ...]:
         """Names of the causes that act."""
         return () if self.cause in (NONE, OTHER) else causes_in(self.cause)
+
+    @property
+    def may_repeat(self) -> bool:
+        """Whether a plate may have two of it: masses and flaws at two places."""
+        return len(self.records) == 1 and all(e.is_anywhere for e in self.records)
+
+    @property
+    def has_leftover(self) -> bool:
+        """Whether causes act beside which something is left that nothing explains."""
+        return self.correlation_length is not None and self.cause != OTHER
 
     @property
     def coordinates(self) -> frozenset[str]:
@@ -94,7 +118,7 @@ class Hypothesis:
 
 
 def causes_in(name: str) -> tuple[str, ...]:
-    """The causes that act where one of this name does: two of a pair."""
+    """The causes that act where one of this name does: several of a set."""
     return tuple(name.split(_TOGETHER))
 
 
@@ -120,7 +144,7 @@ def single_hypotheses(
         entries = _of_list(effect, n_listed, complete) if effect.pairings else _of_plate(effect, facts)
         if entries:
             families[effect.family].append(entries)
-    whole = (1.0 - P_NONE - P_OTHER - P_PAIR) / max(len(families), 1)
+    whole = P_SINGLE / max(len(families), 1)
     for causes in families.values():
         for entries in causes:
             prior, total = whole / len(causes), sum(fraction for _, fraction in entries)
@@ -133,6 +157,20 @@ def single_hypotheses(
         if effect.drops_references
     ]
     return tuple(hypotheses)
+
+
+def with_leftover(hypothesis: Hypothesis) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
+    """Causes that leave nothing over, and the same with each form of what nothing explains beside them."""
+    beside = tuple(
+        replace(
+            hypothesis,
+            variant=f"{hypothesis.variant} with a leftover, {form}".lstrip(),
+            prior=_LEFTOVER * hypothesis.prior / len(CORRELATION_LENGTHS),
+            correlation_length=length,
+        )
+        for form, length in CORRELATION_LENGTHS.items()
+    )
+    return replace(hypothesis, prior=(1.0 - _LEFTOVER) * hypothesis.prior), beside
 
 
 def with_prior_of_none(
@@ -158,27 +196,40 @@ def prior_by_cause(hypotheses: Sequence[Hypothesis]) -> dict[str, float]:
     return dict(prior)
 
 
-def pair_scale(singles: Sequence[Hypothesis]) -> float:
-    """Prior of a pair over the product of the priors of its causes."""
+def set_scales(singles: Sequence[Hypothesis]) -> dict[int, float]:
+    """By number of causes, prior of a set over the product of the priors of its causes.
+
+    P(k) / e_k, e_k the sum of these products over all sets of k causes.
+    """
     by_cause = prior_by_cause([h for h in singles if h.cause not in (NONE, OTHER)])
     none = next((h.prior for h in singles if h.cause == NONE), P_NONE)
-    total = sum(by_cause.values())
-    every = 0.5 * (total**2 - sum(p**2 for p in by_cause.values()))
-    return P_PAIR * (1.0 - none) / (1.0 - P_NONE) / every if every > 0.0 else 0.0
+    products = np.ones(1)
+    for p in by_cause.values():
+        products = np.append(products, 0.0) + p * np.append(0.0, products)
+    rest = (1.0 - none) / (1.0 - P_NONE)
+    return {k: rest * p / products[k] if len(products) > k else 0.0 for k, p in P_SETS.items()}
 
 
-def paired(a: Hypothesis, b: Hypothesis, scale: float) -> Hypothesis:
-    """Two causes that act at once, the same whichever is first, with the prior of ``pair_scale``."""
-    a, b = sorted((a, b), key=lambda h: (h.cause, h.variant))
+def repeated(hypothesis: Hypothesis) -> Hypothesis:
+    """A second effect of the same cause."""
+    (effect,) = hypothesis.effects
+    second = effect.again()
+    return replace(hypothesis, cause=second.name, effects=(second,), parameters=second.parameters)
+
+
+def together(causes: Sequence[Hypothesis], scales: Mapping[int, float]) -> Hypothesis:
+    """Causes that act at once, the same in any order, with the prior of ``set_scales``."""
+    parts = tuple(sorted((i for h in causes for i in h.instances), key=lambda h: (h.cause, h.variant)))
     return Hypothesis(
-        cause=f"{a.cause}{_TOGETHER}{b.cause}",
-        family=PAIR,
-        variant=" / ".join(v for v in (a.variant, b.variant) if v),
-        effects=a.effects + b.effects,
-        listed=_both(a.listed, b.listed),
-        parameters=a.parameters + b.parameters,
-        prior=scale * a.prior * b.prior,
-        unmodelled=a.unmodelled + b.unmodelled,
+        cause=_TOGETHER.join(h.cause for h in parts),
+        family=SET,
+        variant=" / ".join(h.variant for h in parts if h.variant),
+        effects=tuple(e for h in parts for e in h.effects),
+        listed=next((h.listed for h in parts if h.listed != _NO_ERROR), _NO_ERROR),
+        parameters=tuple(p for h in parts for p in h.parameters),
+        prior=scales[len(parts)] * float(np.prod([h.prior for h in parts])),
+        unmodelled=tuple(e for h in parts for e in h.unmodelled),
+        parts=parts,
     )
 
 
@@ -210,20 +261,23 @@ def _of_list(effect: Effect, n: int, complete: bool) -> list[tuple[Hypothesis, f
     ]
 
 
-def go_together(a: Hypothesis, b: Hypothesis) -> bool:
-    """Whether two causes can act together: not what excludes each other, and one error of the list only.
+def go_together(*causes: Hypothesis) -> bool:
+    """Whether causes can act together: not what excludes each other, and one error of the list only.
+
+    A second effect of a cause acts beside the first one.
 
     Where the constants may be anything, what else may be wrong is for another diagnosis to say.
     """
-    if a.cause == b.cause or a.other_material or b.other_material:
+    each = [h for cause in causes for h in cause.instances]
+    if len({h.cause for h in each}) < len(each) or any(h.other_material for h in each):
         return False
-    if _NO_ERROR not in (a.listed, b.listed):
+    if sum(h.listed != _NO_ERROR for h in each) > 1:
         return False
-    return all(x.goes_with(y) for x in a.records for y in b.records)
-
-
-def _both(a: ListChange, b: ListChange) -> ListChange:
-    return b if a == _NO_ERROR else a
+    records = [e for h in each for e in h.records]
+    names = {e.name for e in records}
+    if any(e.repeats is not None and e.repeats.name not in names for e in records):
+        return False
+    return all(x.goes_with(y) for a, b in combinations(each, 2) for x in a.records for y in b.records)
 
 
 Kind = Literal["none", "named", "class", "pair", "other", "undecided"]
@@ -237,8 +291,9 @@ class ClaimRules:
     clear : least log Bayes factor of what is claimed over whatever is without it, so that priors alone claim
         nothing
     rival : fraction of the leading probability from which a cause that is not so far behind joins the claim
-    beside : fraction of a claim's probability from which it is told that something else may act beside it
+    beside : inclusion probability from which a cause is told that may act beside what is claimed
     negligible : probability below which it does not matter whether a cause explains the lists
+    halved : fraction of the plain model's misfit beyond noise that a claimed cause leaves at most
     most, undecided : members of a class at most, and causes listed where nothing is decided
     """
 
@@ -248,6 +303,7 @@ class ClaimRules:
     rival: float = 0.01
     beside: float = 0.1
     negligible: float = 1e-3
+    halved: float = 0.5
     most: int = 6
     undecided: int = 3
 
@@ -267,33 +323,31 @@ class Claim:
 def claim_of(
     probability: Mapping[str, float],
     log_evidence: Mapping[str, float],
-    pairs: Mapping[str, tuple[str, ...]],
     explains: Callable[[str], bool] = lambda name: True,
     *,
     is_cut_short: bool = False,
 ) -> Claim:
     """The claim.
 
-    probability : of every cause, of pairs, none and other
+    probability : of every set of causes, by its name, none and other among them
     log_evidence : of each, its variants averaged over their priors
-    pairs : by name, the two causes of each pair
-    explains : whether the model extended by a cause or a pair explains the lists
+    explains : whether the model extended by a set explains the lists, or most of their misfit
     is_cut_short : whether hypotheses are missing: then nothing is claimed
 
-    Nothing is wrong where none has half the probability. A cause acts with the probability of all hypotheses
-    that hold it, alone or in pairs. Two causes that act with 0.9 each are a pair. Else the fewest causes are
-    claimed of which one acts with 0.9: one is named, up to six are a class, whether or not they look alike.
-    What is claimed is 3 nats above every hypothesis without it: a cause that is not so far behind joins the
-    class, and where none or other is not, nothing is claimed. No cause is claimed whose extended model leaves
-    a misfit that is no noise: where those that explain nothing hold 0.9 with other, it is other. The rest is
-    undecided.
+    Nothing is wrong where none has half the probability. A cause acts with its inclusion probability, that of
+    all sets that hold it. Causes that act with 0.9 each, in one set, are claimed together. Else the fewest
+    causes are claimed of which one acts with 0.9: one is named, up to six are a class, whether or not they
+    look alike. The best set with one of these is 3 nats above every set without: a cause that is not so far
+    behind joins the class, and where none or other is not, nothing is claimed. No cause is claimed whose
+    extended model leaves a misfit that is no noise: where those that explain nothing hold 0.9 with other, it
+    is other. The rest is undecided.
     """
     if is_cut_short:
-        return _undecided(probability, pairs)
+        return _undecided(probability)
     if probability[NONE] >= CLAIM_RULES.plain and explains(NONE):
         return Claim("none", (), probability[NONE])
-    claim = _pair(probability, pairs) or _causes(probability, log_evidence, pairs)
-    if claim is not None and explains(_leading(probability, pairs, claim.causes)):
+    claim = _several(probability) or _causes(probability, log_evidence)
+    if claim is not None and explains(_leading(probability, claim.causes)):
         return claim
     unexplained = [
         c for c in probability if c != OTHER and probability[c] > CLAIM_RULES.negligible and not explains(c)
@@ -301,72 +355,65 @@ def claim_of(
     wrong = probability[OTHER] + sum(probability[c] for c in unexplained)
     if wrong >= CLAIM_RULES.sure:
         return Claim("other", (), wrong)
-    return _undecided(probability, pairs)
+    return _undecided(probability)
 
 
-def _held(name: str, pairs: Mapping[str, tuple[str, ...]]) -> frozenset[str]:
+def _held(name: str) -> frozenset[str]:
     """The causes that act in a hypothesis."""
-    return frozenset() if name in (NONE, OTHER) else frozenset(pairs.get(name, (name,)))
+    return frozenset() if name in (NONE, OTHER) else frozenset(causes_in(name))
 
 
-def _acting(
-    probability: Mapping[str, float], pairs: Mapping[str, tuple[str, ...]], causes: Collection[str]
-) -> float:
+def _acting(probability: Mapping[str, float], causes: Collection[str]) -> float:
     """Probability that one of the causes acts."""
-    return min(sum(p for name, p in probability.items() if _held(name, pairs) & set(causes)), 1.0)
+    return min(sum(p for name, p in probability.items() if _held(name) & set(causes)), 1.0)
 
 
-def _ranked(probability: Mapping[str, float], pairs: Mapping[str, tuple[str, ...]]) -> list[str]:
-    """All causes, the one that acts with most probability first."""
-    causes = dict.fromkeys(c for name in probability for c in pairs.get(name, (name,)))
-    every = [c for c in causes if c not in (NONE, OTHER)]
-    return sorted(every, key=lambda c: -_acting(probability, pairs, (c,)))
+def inclusion_of(probability: Mapping[str, float]) -> dict[str, float]:
+    """Probability that each cause acts, over all sets that hold it, the most probable first."""
+    causes = dict.fromkeys(c for name in probability if name not in (NONE, OTHER) for c in causes_in(name))
+    inclusion = {c: _acting(probability, (c,)) for c in causes}
+    return dict(sorted(inclusion.items(), key=lambda item: -item[1]))
 
 
-def _leading(
-    probability: Mapping[str, float], pairs: Mapping[str, tuple[str, ...]], causes: Collection[str]
-) -> str:
-    """The most probable hypothesis with one of the causes."""
-    return max((n for n in probability if _held(n, pairs) & set(causes)), key=lambda n: probability[n])
+def _leading(probability: Mapping[str, float], causes: Collection[str]) -> str:
+    """The most probable set with one of the causes."""
+    return max((n for n in probability if _held(n) & set(causes)), key=lambda n: probability[n])
 
 
-def _undecided(probability: Mapping[str, float], pairs: Mapping[str, tuple[str, ...]]) -> Claim:
-    """The most probable causes, with the probability that one of them acts; a pair stands for both of its."""
-    named = sorted((c for c in probability if c not in (NONE, OTHER)), key=lambda c: -probability[c])
-    causes = tuple(dict.fromkeys(c for name in named for c in pairs.get(name, (name,))))
-    causes = causes[: CLAIM_RULES.undecided]
-    return Claim("undecided", causes, _acting(probability, pairs, causes))
+def _undecided(probability: Mapping[str, float]) -> Claim:
+    """The most probable causes, with the probability that one of them acts."""
+    causes = tuple(inclusion_of(probability))[: CLAIM_RULES.undecided]
+    return Claim("undecided", causes, _acting(probability, causes))
 
 
-def _pair(probability: Mapping[str, float], pairs: Mapping[str, tuple[str, ...]]) -> Claim | None:
-    """Two causes that each act."""
-    sure = [c for c in _ranked(probability, pairs) if _acting(probability, pairs, (c,)) >= CLAIM_RULES.sure]
-    both = [name for name in pairs if name in probability and set(pairs[name]) <= set(sure)]
-    if not both:
+def _several(probability: Mapping[str, float]) -> Claim | None:
+    """Two or more causes that each act, and act at once."""
+    sure = {c for c, p in inclusion_of(probability).items() if p >= CLAIM_RULES.sure}
+    if len(sure) < 2:
         return None
-    leading = max(both, key=lambda name: probability[name])
-    return Claim("pair", pairs[leading], probability[leading])
+    acting = sum(p for name, p in probability.items() if sure <= _held(name))
+    first = _leading(probability, sure)
+    order = [c for c in causes_in(first) if c in sure] + sorted(sure - set(causes_in(first)))
+    return Claim("pair", tuple(order), acting)
 
 
-def _causes(
-    probability: Mapping[str, float],
-    log_evidence: Mapping[str, float],
-    pairs: Mapping[str, tuple[str, ...]],
-) -> Claim | None:
+def _causes(probability: Mapping[str, float], log_evidence: Mapping[str, float]) -> Claim | None:
     """The fewest causes of which one acts, with those that only priors speak against."""
-    ranked, members = _ranked(probability, pairs), list[str]()
-    while _acting(probability, pairs, members) < CLAIM_RULES.sure:
-        gains = {c: _acting(probability, pairs, (*members, c)) for c in ranked if c not in members}
+    inclusion, members = inclusion_of(probability), list[str]()
+    while _acting(probability, members) < CLAIM_RULES.sure:
+        gains = {c: _acting(probability, (*members, c)) for c in inclusion if c not in members}
         if not gains or len(members) == CLAIM_RULES.most:
             return None
         members.append(max(gains, key=lambda c: gains[c]))
-    best = max(log_evidence[name] for name in probability if _held(name, pairs) & set(members))
-    least = CLAIM_RULES.rival * _acting(probability, pairs, members[:1])
-    # priors of pairs are so low that their evidence may well be the larger one
-    near = [n for n, e in log_evidence.items() if n not in pairs and best - e < CLAIM_RULES.clear]
+    best = max(log_evidence[name] for name in probability if _held(name) & set(members))
+    least = CLAIM_RULES.rival * _acting(probability, members[:1])
+    near = [
+        n for n, e in log_evidence.items() if best - e < CLAIM_RULES.clear and not _held(n) & set(members)
+    ]
     if NONE in near or OTHER in near:
         return None
-    members += [c for c in ranked if c in near and c not in members and probability.get(c, 0.0) >= least]
+    rivals = {c for n in near if probability.get(n, 0.0) >= least for c in _held(n)}
+    members += [c for c in inclusion if c in rivals]
     members = members[: CLAIM_RULES.most]
     kind: Kind = "named" if len(members) == 1 else "class"
-    return Claim(kind, tuple(members), _acting(probability, pairs, members))
+    return Claim(kind, tuple(members), _acting(probability, members))

@@ -6,7 +6,7 @@ Each plate has reduced models, bare and with its effects, over the priors of its
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.effects import Effect, PlateFacts, extend
 from cpam_bayes.forward_model.build import basis_tolerance, model_key, remembered, without_matrices
-from cpam_bayes.forward_model.known_errors import theory_error
+from cpam_bayes.forward_model.known_errors import common_errors, theory_error
 from cpam_bayes.forward_model.local.basis import BarePlate, patch_model, point_mass_model
 from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.model import (
@@ -30,10 +30,11 @@ from cpam_bayes.forward_model.model import (
     size_parameters,
 )
 from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings, reduce
+from cpam_bayes.mechanics.affine import AffineOperator
 from cpam_bayes.mechanics.convergence import converge
-from cpam_bayes.mechanics.problem import Problem
+from cpam_bayes.mechanics.problem import Problem, any_of
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
-from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.parameters import ParameterSet, Uniform
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.edges import Field
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT
@@ -49,6 +50,8 @@ _CONTENT: tuple[tuple[Field, tuple[int, int]], ...] = (
     ("v", (2, 0)),
     ("v", (0, 2)),
 )
+# Forms of an effect that a space is converged for: it holds what the others need.
+_FARTHEST_FORMS = 6
 # A normal prior from the plate file is cut here, standard deviations from its mean.
 _CUT = 4.0
 
@@ -79,24 +82,35 @@ class PlateModels(ConvergedPlate):
     """A converged plate with its reduced model.
 
     theory_error : (n_modes,) of first-order theory at the reference constants, relative
+    tolerances : name of a size, the density or mass, or the frequency scale that is no parameter ->
+        (n_modes,) relative changes of the frequencies by one standard deviation of it
     bare : its reduced model
     key : all that it depends on, as a text
     """
 
     theory_error: Array
+    tolerances: Mapping[str, Array]
     bare: ReducedModel
     key: str
 
 
 def diagnosis_parameters(specimen: Specimen, *, other_material: bool = False) -> ParameterSet:
-    """The unknown constants with the priors of [material.sd], and the sizes of [plate.sd].
+    """The unknown constants with the prior of all verbs, and the sizes of [plate.sd].
 
-    A constant whose reference has a standard deviation is normal about it, cut at the search bounds and
-    at four standard deviations; others, and all of them where the material is another one, keep the prior
-    of [unknowns].
+    A stated reference is cut at four standard deviations. Where the material is another one, the constants
+    keep the prior of [unknowns]; a former posterior says nothing of it.
     """
-    unknowns = specimen.unknowns if other_material else constant_parameters(specimen, _CUT)
+    unknowns = _of_other_material(specimen) if other_material else constant_parameters(specimen, _CUT)
     return unknowns.union(size_parameters(specimen))
+
+
+def _of_other_material(specimen: Specimen) -> ParameterSet:
+    unknowns = specimen.unknowns
+    free = (
+        p if p.coupled is None else replace(p, prior=Uniform(p.prior.lower, p.prior.upper), coupled=None)
+        for p in unknowns.parameters
+    )
+    return ParameterSet(tuple(free), unknowns.fixed)
 
 
 @single_blas_thread
@@ -133,9 +147,19 @@ def plate_models(
         bare.full.error,
         n_modes,
         theory_error(specimen, bare.predict(samples.x[:1]).frequencies[0]),
+        _tolerances(specimen, parameters, bare),
         bare,
         key,
     )
+
+
+def _tolerances(specimen: Specimen, parameters: ParameterSet, bare: ReducedModel) -> dict[str, Array]:
+    """Relative changes (n_modes,) of the frequencies by each known error that is no parameter."""
+    middle = reference_vector(specimen, parameters)
+    values = dict(zip(parameters.names, middle.tolist(), strict=True))
+    constants = {name: values[name] for name in specimen.unknowns.names}
+    every = common_errors(specimen, bare.full, constants, np.arange(bare.full.n_modes))
+    return {name: error for name, error in every.items() if name not in parameters}
 
 
 def _facts(specimen: Specimen, parameters: ParameterSet, model: ForwardModel) -> PlateFacts:
@@ -145,7 +169,7 @@ def _facts(specimen: Specimen, parameters: ParameterSet, model: ForwardModel) ->
         specimen.material.isotropic,
         loaded=bool(specimen.sensors),
         air_is_known=specimen.air_density is not None,
-        has_references=parameters != diagnosis_parameters(specimen, other_material=True),
+        has_references=bool(specimen.material.sd),
         first_frequency=float(model.predict(middle[None]).frequencies[0, 0]),
     )
 
@@ -185,8 +209,11 @@ def extended_model(
     """The reduced model of a plate with an effect, over the priors of both, without matrices of a full space.
 
     Where the effect changes the edges or couples bending with stretching the space is converged anew. An
-    effect at any place has one model for all places. The matrices of ``plate`` are not used.
+    effect at any place has one model for all places, forms that follow from the plate have one space and
+    basis. The matrices of ``plate`` are not used.
     """
+    if effect.on_plate is not None:
+        return _form_model(plate, effect, notify)
 
     def make() -> ReducedModel | LocalModel:
         notify(f"building {effect.name} {effect.variant}".rstrip())
@@ -203,6 +230,29 @@ def extended_model(
     # effects of scripts may have one name and do different things
     key = [plate.key, effect.name, effect.variant, effect.place, repr(effect.change), priors]
     return remembered(json.dumps(key), make)
+
+
+def _form_model(plate: PlateModels, effect: Effect, notify: Callable[[str], None]) -> ReducedModel:
+    """The reduced model of a plate with one of the forms of an effect, on the basis of all of them."""
+    assert effect.on_plate is not None
+    forms = effect.on_plate(plate.facts)
+
+    def make() -> ReducedModel:
+        notify(f"building {effect.name}")
+        problem = any_of([extend(plate.problem, form, plate.facts) for form in forms])
+        farthest = np.arange(min(len(forms), _FARTHEST_FORMS))
+        samples = np.column_stack((np.repeat(plate.samples.x[:1], len(farthest), axis=0), farthest))
+        full = converged_plate(problem, Samples(samples, np.ones(len(samples))), plate.n_modes)
+        return without_matrices(_reduced(full, plate.bare.tolerance))
+
+    key = [plate.key, effect.name, repr(effect.on_plate), [form.variant for form in forms]]
+    shared = remembered(json.dumps(key), make)
+    own = extend(plate.problem, effect, plate.facts)
+    full, fast = (
+        replace(model, operator=AffineOperator(own, model.operator.space, model.operator.blocks))
+        for model in (shared.full, shared.fast)
+    )
+    return replace(shared, full=full, fast=fast)
 
 
 def extended_problem(plate: ConvergedPlate, effect: Effect) -> tuple[Problem, Array]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,7 +16,7 @@ from cpam_bayes.diagnosis.comparison import SCATTER, PlateCase
 from cpam_bayes.diagnosis.diagnose import Diagnosis
 from cpam_bayes.diagnosis.evidence.sampled import shared_out
 from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, inclusion_of
 from cpam_bayes.diagnosis.models import ConvergedPlate, extended_on_space, plate_under_test
 from cpam_bayes.effects import Effect, extend
 from cpam_bayes.forward_model.composed import Change, ComposedModel, Part
@@ -215,6 +215,8 @@ def _with_effect(
     if effect.is_anywhere:
         return changed_on_modes(bare, effect)
     v = drawn.v[:, [*range(drawn.n_plate), *columns]]
+    if not columns:
+        return on_modes(extended_on_space(plate, effect), weight[None] / weight.sum() @ v, masses).model
     order = np.argsort(v[:, drawn.n_plate], kind="stable")
     below = np.cumsum(weight[order]) / weight.sum()
     tails = order[np.searchsorted(below, (_TAIL, 1.0 - _TAIL)).clip(max=len(v) - 1)]
@@ -384,8 +386,7 @@ def next_measurements(
 def _is_settled(diagnosis: Diagnosis) -> bool:
     """Whether no causes are left to tell apart: none, or one, and nothing open beside it."""
     claim = diagnosis.claim
-    alone = claim.probability - diagnosis.probability_beside
-    return claim.kind == NONE or (claim.kind == "named" and alone >= _IDENTIFIED)
+    return claim.kind == NONE or (claim.kind == "named" and not diagnosis.beside)
 
 
 @dataclass(frozen=True, slots=True)
@@ -414,8 +415,10 @@ def _candidate(item: tuple[_Asked, int]) -> Candidate | None:
 def leading_hypotheses(weighed: Weighed) -> tuple[Tested, ...]:
     """The best variants of the most probable causes, which carry the whole probability of these.
 
-    Causes are taken until they hold 99 %, six at most, with ten variants in all at most.
+    Causes are taken until they hold 99 %, six at most, with ten variants in all at most. A set that is less
+    probable than the one of its causes that acts most probably counts for that one.
     """
+    weighed = replace(weighed, tested=tuple(_counted(weighed)))
     causes: dict[str, float] = {}
     for name, p in weighed.by_cause().items():
         if sum(causes.values()) >= _ENOUGH or len(causes) == _MOST_CAUSES:
@@ -436,6 +439,16 @@ def leading_hypotheses(weighed: Weighed) -> tuple[Tested, ...]:
     return tuple(sorted(whole, key=lambda t: -t.probability))
 
 
+def _counted(weighed: Weighed) -> Iterator[Tested]:
+    """Hypotheses under the name of the cause or set that they count for."""
+    probability = weighed.by_cause()
+    inclusion = inclusion_of(probability)
+    for t in weighed.tested:
+        name = max(t.hypothesis.causes, key=lambda c: inclusion[c], default=t.hypothesis.cause)
+        is_set = probability.get(name, 0.0) < probability[t.hypothesis.cause]
+        yield t if is_set else replace(t, hypothesis=replace(t.hypothesis, cause=name))
+
+
 def information(outlook: Outlook, log2_data: int = _LOG2_DATA) -> tuple[float, float, float]:
     """Mutual information of cause and data, the entropy of the cause, and how probably it is identified.
 
@@ -452,7 +465,8 @@ def information(outlook: Outlook, log2_data: int = _LOG2_DATA) -> tuple[float, f
     back = np.linalg.inv(factor)
     log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
     z = np.einsum("jab,kdjb->kdja", back, y[:, :, None] - outlook.mean)
-    log_joint = np.log(p) - log_det - 0.5 * np.sum(z**2, axis=-1)  # (k, draws, k)
+    with np.errstate(divide="ignore"):
+        log_joint = np.log(p) - log_det - 0.5 * np.sum(z**2, axis=-1)  # (k, draws, k)
     after = np.exp(log_joint - logsumexp(log_joint, axis=-1, keepdims=True)) @ of_cause
     possible = _entropy(p @ of_cause)
     left = float(p @ _entropies(after).mean(axis=1))

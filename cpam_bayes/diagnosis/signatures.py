@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -57,11 +57,11 @@ class Signature:
 
 @dataclass(frozen=True, slots=True)
 class Projector:
-    """Takes out of a shift what the constants can imitate within their priors.
+    """Takes out of a shift what the constants and the tolerances can imitate within their priors.
 
-    With A the derivatives of the frequencies over the scores in units of the noise, the data's precision
-    with the constants integrated is I - A (A^T A + I)^-1 A^T. root : (n_f, n_f) its square root. absorb :
-    (n, n_f), the scores that imitate a shift.
+    With A the derivatives of the frequencies over the scores and C the covariance by the tolerances, both in
+    units of the noise, the data's precision with these integrated is (I + C + A A^T)^-1. root : (n_f, n_f)
+    its square root. absorb : (n, n_f), the scores that imitate a shift.
     """
 
     root: Array
@@ -79,10 +79,10 @@ def projector_of(none: Marginal) -> Projector:
     _, slope = comparison.predict(x, jacobian=True)
     assert slope is not None
     sigma = np.sqrt(comparison.variance(x)[0])
-    a = slope[0] * comparison.scores.slope(x, z)[0] / sigma[:, None]
-    inverse = np.linalg.inv(a.T @ a + np.eye(a.shape[1]))
-    values, vectors = np.linalg.eigh(np.eye(len(a)) - a @ inverse @ a.T)
-    return Projector((vectors * np.sqrt(np.clip(values, 0.0, None))) @ vectors.T, inverse @ a.T)
+    a = comparison.scores.by_score(slope, x, z)[0] / sigma[:, None]
+    covariance = comparison.covariance(x)[0] / np.outer(sigma, sigma) + a @ a.T
+    values, vectors = np.linalg.eigh(covariance)
+    return Projector((vectors / np.sqrt(values)) @ vectors.T, a.T @ np.linalg.inv(covariance))
 
 
 def signature_of(tested: Tested, none: Marginal, projector: Projector) -> Signature:
@@ -112,6 +112,9 @@ def signature_of(tested: Tested, none: Marginal, projector: Projector) -> Signat
         buckled = np.delete(np.arange(len(points)), comparison.predict_inside(points)[0])
         points[buckled] = np.clip(2.0 * plain - points[buckled], *within)
         f = _aligned(comparison, points, none)
+    if not all(e.parameters for e in tested.hypothesis.effects):  # no value of theirs gives back the plate
+        bare = replace(comparison, model=comparison.model.without_changes())
+        f = np.concatenate((_aligned(bare, points[:1], none), f[1:]))
     sigma = np.sqrt(none.comparison.variance(none.best[None])[0])
     listed = none.comparison.listed.frequencies
     shift = (f[1] - f[0]) / sigma
@@ -243,8 +246,8 @@ def menu_of(tested: Tested, none: Marginal, projector: Projector) -> Menu | None
 
 
 def _fine(table: ShiftTable) -> Array:
-    """Shifts between the nodes of one size, and at the nodes of several."""
-    if table.scores.shape[1] > 1:
+    """Shifts between the nodes of one size, and at the nodes of several or of none."""
+    if table.scores.shape[1] != 1:
         return table.shift
     score = table.scores[:, 0]
     fine = np.linspace(score[0], score[-1], _BETWEEN)

@@ -3,7 +3,14 @@
 A new effect is one file and one line in ``CATALOGUE``; ``docs/effects.md`` shows how.
 """
 
-from cpam_bayes.effects.edges import CLAMP_ROTATION, CLAMP_SLIP, CLAMP_TRANSLATION, SOFT_CLAMP, SUPPORT
+from cpam_bayes.effects.edges import (
+    CLAMP_ROTATION,
+    CLAMP_SLIP,
+    CLAMP_TRANSLATION,
+    SOFT_CLAMP,
+    SOFT_SUPPORT,
+    SUPPORT,
+)
 from cpam_bayes.effects.effect import (
     FREQUENCY_SCALE,
     MODE_IDENTITY,
@@ -22,13 +29,15 @@ from cpam_bayes.effects.geometry import (
     DENSITY,
     LENGTH,
     SKEW,
+    SWAPPED_SIDES,
     TAPER_X,
     TAPER_Y,
     THICKNESS,
     WARP,
     WIDTH,
 )
-from cpam_bayes.effects.masses import AIR, SENSOR_MASS, add_air, add_known_mass
+from cpam_bayes.effects.layup import LAYUP
+from cpam_bayes.effects.masses import AIR, EDGE_MASS, SENSOR_MASS, add_air, add_known_mass
 from cpam_bayes.effects.plies import (
     DAMAGE,
     INNER_PLY_ANGLE,
@@ -48,12 +57,15 @@ CATALOGUE: tuple[Effect, ...] = (
     CLAMP_SLIP,
     CLAMP_LENGTH,
     SENSOR_MASS,
+    EDGE_MASS,
     SUPPORT,
+    SOFT_SUPPORT,
     AIR,
     THICKNESS,
     DENSITY,
     LENGTH,
     WIDTH,
+    SWAPPED_SIDES,
     FREQUENCY_SCALE,
     TAPER_X,
     TAPER_Y,
@@ -61,6 +73,7 @@ CATALOGUE: tuple[Effect, ...] = (
     MISORIENTATION,
     OUTER_PLY_ANGLE,
     INNER_PLY_ANGLE,
+    LAYUP,
     WARP,
     MEMBRANE_STRESS,
     TRANSVERSE_SHEAR,
@@ -76,7 +89,7 @@ CATALOGUE: tuple[Effect, ...] = (
 
 def applicable(facts: PlateFacts, effects: tuple[Effect, ...] = CATALOGUE) -> tuple[Effect, ...]:
     """The effects that a plate may have."""
-    return tuple(effect for effect in effects if effect.applies_to(facts))
+    return tuple(effect for effect in effects if any(f.applies_to(facts) for f in effect.forms))
 
 
 __all__ = [

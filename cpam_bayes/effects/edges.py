@@ -1,18 +1,19 @@
-"""Edges and supports that are not ideal: clamps that turn, move or slip, and the foam under a free plate.
+"""Edges and supports that are not ideal: clamps that turn, move or slip, soft supports, foam and pads.
 
-The fields of a clamped edge are set free and held by springs k = stiffness / ((c + c0) side). c0 stands for
-the rigid clamp; with it no frequency differs from that of the held edge by more than 1e-4.
+The fields of a held edge are set free and held by springs k = stiffness / ((c + c0) side). c0 stands for
+the rigid clamp or support; with it no frequency differs from that of the held edge by more than 1e-4.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from cpam_bayes.effects.effect import PERCENT, Effect, PlateFacts, one_sided, stacked
+from cpam_bayes.mechanics.affine import Bell, Product, Twins
 from cpam_bayes.mechanics.problem import Array, Atom, Form, PlateState, Problem, Region, Term, Values
 from cpam_bayes.plate.edges import ALL_FREE, EDGES, FIELDS, Field, conditions, yielding
 
@@ -30,21 +31,22 @@ _LOOSE: dict[Field, tuple[float, int]] = {
     "phi_x": (0.1, 1),
     "phi_y": (0.1, 1),
 }
-# Fields that stand on springs where a clamp gives way so.
+# Fields that stand on springs where an edge gives way so.
 _SPRUNG: dict[str, tuple[Field, ...]] = {
-    "rotation": ("phi_x", "phi_y"),
-    "translation": ("u", "v", "w"),
-    "slip": FIELDS,
+    "clamp_rotation": ("phi_x", "phi_y"),
+    "clamp_translation": ("u", "v", "w"),
+    "clamp_slip": FIELDS,
+    "soft_support": ("w",),
 }
 
 
-def _yielding(edges: str, clamped: Sequence[int], way: str) -> str:
+def _yielding(edges: str, held: Sequence[int], way: str) -> str:
     letters = list(edges)
-    for i in clamped:
+    for i in held:
         letter = yielding(edges[i], _SPRUNG[way])
         if letter is None:
             raise ValueError(
-                f"clamp_{way}: the edges are {edges} already; a clamp's slip does not go with another "
+                f"{way}: the edges are {edges} already; a clamp's slip does not go with another "
                 "clamp effect, and each effect goes once"
             )
         letters[i] = letter
@@ -52,7 +54,7 @@ def _yielding(edges: str, clamped: Sequence[int], way: str) -> str:
 
 
 def _spring(state: PlateState, axis: int, field: Field, compliance: Array) -> Array:
-    """Spring per length of a clamped edge across an axis (0: x, 1: y), times the edge's length.
+    """Spring per length of a held edge across an axis (0: x, 1: y), times the edge's length.
 
     D / (c a) on rotations, D / (c a^3) on w, A / (c a) on u and v.
     """
@@ -70,26 +72,42 @@ def _clamped(facts: PlateFacts) -> list[int]:
     return [i for i, edge in enumerate(conditions(facts.edges)) if edge.is_clamp]
 
 
-def _compliant(parameter: str, way: str, problem: Problem, facts: PlateFacts) -> Problem:
-    clamped = _clamped(facts)
-    springs = [(i, field) for i in clamped for field in _SPRUNG[way]]
+def _supported(facts: PlateFacts) -> list[int]:
+    return [i for i, edge in enumerate(conditions(facts.edges)) if not edge.is_clamp and "w" in edge.held_x]
+
+
+def _compliant(
+    parameter: str,
+    way: str,
+    problem: Problem,
+    facts: PlateFacts,
+    *,
+    held_by: Callable[[PlateFacts], list[int]] = _clamped,
+    unit: float = 1.0,
+) -> Problem:
+    """The problem whose edges of one kind give way.
+
+    unit : of the parameter, in the compliances of ``_spring``
+    """
+    held = held_by(facts)
+    springs = [(i, field) for i in held for field in _SPRUNG[way]]
     forms = tuple(Form(Atom(f), Atom(f), Region("edge", EDGES[i])) for i, f in springs)
-    coefficients = partial(_compliant_springs, parameter, springs)
-    relaxed = replace(problem, edges=_yielding(problem.edges, clamped, way))
-    return relaxed.with_terms(Term(f"clamp_{way}", "stiffness", forms, coefficients))
+    coefficients = partial(_compliant_springs, parameter, unit, springs)
+    relaxed = replace(problem, edges=_yielding(problem.edges, held, way))
+    return relaxed.with_terms(Term(way, "stiffness", forms, coefficients))
 
 
 def _compliant_springs(
-    parameter: str, springs: list[tuple[int, Field]], state: PlateState, values: Values
+    parameter: str, unit: float, springs: list[tuple[int, Field]], state: PlateState, values: Values
 ) -> Array:
-    c = np.asarray(values[parameter])
+    c = unit * np.asarray(values[parameter])
     return stacked(*(_spring(state, i % 2, field, c) for i, field in springs))
 
 
 def _soft(problem: Problem, facts: PlateFacts) -> Problem:
     """Springs on the rotations and on the translations of the clamped edges."""
-    turning = _compliant("soft_rotation_compliance", "rotation", problem, facts)
-    return _compliant("soft_translation_compliance", "translation", turning, facts)
+    turning = _compliant("soft_rotation_compliance", "clamp_rotation", problem, facts)
+    return _compliant("soft_translation_compliance", "clamp_translation", turning, facts)
 
 
 def _slip(problem: Problem, facts: PlateFacts) -> Problem:
@@ -108,7 +126,7 @@ def _slip(problem: Problem, facts: PlateFacts) -> Problem:
     )
 
     coefficients = partial(_fading_springs, springs, starts, ends)
-    relaxed = replace(problem, edges=_yielding(problem.edges, clamped, "slip"))
+    relaxed = replace(problem, edges=_yielding(problem.edges, clamped, "clamp_slip"))
     return relaxed.with_terms(Term("clamp_slip", "stiffness", forms, coefficients))
 
 
@@ -148,11 +166,12 @@ CLAMP_ROTATION = Effect(
     parameters=(one_sided("rotation_compliance", "", 0.02, 2.0, gross=0.2),),
     note="edge springs D11 / (c a) on both rotations",
     check="Tighten the clamp and measure again; rising frequencies confirm it.",
-    change=partial(_compliant, "rotation_compliance", "rotation"),
+    change=partial(_compliant, "rotation_compliance", "clamp_rotation"),
     applies_to=_has_clamp,
     sign=-1,
     excludes=_WAYS,
-    drawn="held edges",
+    edges=_clamped,
+    form_error=0.11,
 )
 CLAMP_TRANSLATION = Effect(
     name="clamp_translation",
@@ -162,11 +181,12 @@ CLAMP_TRANSLATION = Effect(
     parameters=(one_sided("translation_compliance", "", 0.002, 0.2, gross=0.02),),
     note="edge springs D11 / (c a^3) on w, A11 / (c a) on u and v",
     check="Measure the motion of the clamp itself with a second accelerometer.",
-    change=partial(_compliant, "translation_compliance", "translation"),
+    change=partial(_compliant, "translation_compliance", "clamp_translation"),
     applies_to=_has_clamp,
     sign=-1,
     excludes=_WAYS,
-    drawn="held edges",
+    edges=_clamped,
+    form_error=0.05,
 )
 SOFT_CLAMP = Effect(
     name="soft_clamp",
@@ -183,7 +203,8 @@ SOFT_CLAMP = Effect(
     applies_to=_has_clamp,
     sign=-1,
     excludes=_WAYS,
-    drawn="held edges",
+    edges=_clamped,
+    form_error=0.07,
 )
 CLAMP_SLIP = Effect(
     name="clamp_slip",
@@ -197,7 +218,31 @@ CLAMP_SLIP = Effect(
     applies_to=_has_clamp,
     sign=-1,
     excludes=_WAYS,
-    drawn="held edges",
+    edges=_clamped,
+    form_error=0.62,
+)
+
+
+def _has_support(facts: PlateFacts) -> bool:
+    return bool(_supported(facts))
+
+
+SOFT_SUPPORT = Effect(
+    name="soft_support",
+    title="simple support that gives",
+    family="surroundings",
+    belongs_to="test",
+    # rubber, 10 mm wide and 3 mm high, under 0.4 m of aluminium, 3 mm thick, has 0.01; at 1 it is no support
+    parameters=(one_sided("support_compliance", "", 0.01, 1.0, gross=0.1),),
+    note=(
+        "edge springs pi^4 D11 / (2 c a^3) on w of simply supported edges; on two of them a rigid strip "
+        "bounces at c^-1/2 of its first frequency in bending"
+    ),
+    check="Measure the motion of the supported edges with a second accelerometer.",
+    change=partial(_compliant, "support_compliance", "soft_support", held_by=_supported, unit=2.0 / np.pi**4),
+    applies_to=_has_support,
+    sign=-1,
+    edges=_supported,
 )
 
 
@@ -205,18 +250,26 @@ CLAMP_SLIP = Effect(
 _TYPICAL = 80.0
 
 
-def _support(problem: Problem, facts: PlateFacts) -> Problem:
-    """K += k integral of w^2, k = (2 pi f_r)^2 rho h: f^2 becomes f^2 + f_r^2."""
+# Width of a pad over the side, as the standard deviation of a bell: that of a block over a tenth of it.
+_PAD = 0.03
+
+
+def _support(pads: float | None, problem: Problem, facts: PlateFacts) -> Problem:
+    """K += integral of k w^2, k = (2 pi f_r)^2 rho h in the mean: evenly f^2 becomes f^2 + f_r^2.
+
+    pads : how far the middles of four pads are from the edges, over the sides; None for even foam
+    """
     del facts
-
-    form = Form(Atom("w"), Atom("w"))
+    pad = None if pads is None else Twins(Bell(pads, _PAD))
+    form = Form(Atom("w"), Atom("w"), weight=None if pad is None else Product(pad, pad))
+    area = 1.0 if pad is None else 2.0 * np.pi * (2.0 * _PAD) ** 2
     supported = replace(problem, supported=True)
-    return supported.with_terms(Term("support", "stiffness", (form,), _foam))
+    return supported.with_terms(Term("support", "stiffness", (form,), partial(_foam, area)))
 
 
-def _foam(state: PlateState, values: Values) -> Array:
+def _foam(area: float, state: PlateState, values: Values) -> Array:
     omega = 2 * np.pi * np.asarray(values["support_frequency"])
-    return np.asarray(omega**2 * state.density * state.thickness * state.area)[..., None]
+    return np.asarray(omega**2 * state.density * state.thickness * state.area / area)[..., None]
 
 
 def _is_free(facts: PlateFacts) -> bool:
@@ -228,17 +281,29 @@ def _per_first_frequency(facts: PlateFacts) -> float:
     return (facts.first_frequency or _TYPICAL) / _TYPICAL
 
 
-SUPPORT = Effect(
+_FOAM = Effect(
     name="support",
     title="stiff suspension or foam",
     family="surroundings",
     belongs_to="plate",
     parameters=(one_sided("support_frequency", "Hz", 8.0, 40.0),),
-    note="f^2 + f_r^2, free plates only: the lowest modes rise most",
+    note=(
+        "f^2 + f_r^2 on even foam, free plates only: the lowest modes rise most; or, as stiff in all, four "
+        "pads a quarter of the sides from the edges"
+    ),
     check="Measure the frequency at which the plate bounces on its support, or support it more softly.",
-    change=_support,
+    change=partial(_support, None),
     applies_to=_is_free,
     size_factor=_per_first_frequency,
     sign=1,
     even=True,
+    form_error=0.33,
+)
+# Pads are laid about the nodal lines of the lowest modes.
+SUPPORT = replace(
+    _FOAM,
+    variant="even",
+    alternatives=(
+        replace(_FOAM, change=partial(_support, 0.25), variant="four pads, 0.25 of the sides from the edges"),
+    ),
 )

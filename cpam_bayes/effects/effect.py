@@ -6,14 +6,21 @@ tangent.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
 import numpy as np
 
-from cpam_bayes.mechanics.problem import Array, PlateState, Problem, StateFunction, Values
+from cpam_bayes.mechanics.problem import (
+    Array,
+    CoefficientFunction,
+    PlateState,
+    Problem,
+    StateFunction,
+    Values,
+)
 from cpam_bayes.parameters import Mixture, Parameter, ParameterSet, Prior, ScaledStudentT, Uniform
 from cpam_bayes.plate import Plate
 from cpam_bayes.plate.layup import Layup
@@ -32,6 +39,8 @@ _CUT = 8.0
 # wrong sheet. Then it has a far wider density, up to the physical limit.
 GROSS_FRACTION = 0.1
 EVEN = np.inf
+# Names of a second effect of one cause and of its parameters.
+_SECOND = "{}#2"
 
 # How parameters are shown to people: the unit, and the factor from SI.
 PERCENT, GRAM, MILLIMETRE = ("%", 100.0), ("g", 1e3), ("mm", 1e3)
@@ -127,7 +136,8 @@ def _always(facts: PlateFacts) -> bool:
 class Effect:
     """An effect that a plate model or a frequency list may lack.
 
-    Exactly one of ``change``, ``observe``, ``pairings`` and ``drops_references`` says what it does.
+    Exactly one of ``change``, ``observe``, ``pairings``, ``drops_references`` and ``on_plate`` says what it
+    does; what ``on_plate`` gives has ``change`` too.
 
     name : the cause, as in answers
     title : the cause in words for people
@@ -154,10 +164,17 @@ class Effect:
     place : where it is, if that is fixed
     at : for an effect that may be anywhere, the effect at a place; its ``change`` refuses
     local : its form, for an effect that may be anywhere and for it at a place
-    alternatives : other forms of the same cause with the same parameters, each as probable as it
+    alternatives : other forms of the same cause with the same parameters, each that the plate may have as
+        probable as the others
+    on_plate : its forms where these follow from the plate, the farthest from it first, each as probable as
+        the others: without parameters, and with the terms of the bare plate, so that one basis serves all
     directions : names of the parameters that say which way it goes
-    drawn : where it shows on a drawing of the plate, "" for what is everywhere
+    repeats : the effect of which it is a second one, None for the first
+    edges : numbers of the edges along which it acts, or may act, which a drawing of the plate marks
+    drawn : where else it shows on a drawing, "" for what is everywhere
     smooth : names of further parameters that, wherever they are left open, Laplace's method integrates well
+    form_error : root mean square of what its form misses of a real one's shifts of the frequencies, relative
+        to these; studies/25_form_errors.py
     """
 
     name: str
@@ -171,6 +188,7 @@ class Effect:
     observe: Callable[[Array, Values], Array] | None = None
     pairings: Callable[[int, bool], tuple[ListVariant, ...]] | None = None
     drops_references: bool = False
+    on_plate: Callable[[PlateFacts], tuple[Effect, ...]] | None = None
     applies_to: Callable[[PlateFacts], bool] = _always
     size_factor: Callable[[PlateFacts], float] | None = None
     sign: Literal[-1, 0, 1] = 0
@@ -184,7 +202,10 @@ class Effect:
     alternatives: tuple[Effect, ...] = ()
     directions: tuple[str, ...] = ()
     smooth: tuple[str, ...] = ()
-    drawn: Literal["", "held edges", "corners", "plies"] = ""
+    form_error: float = 0.0
+    repeats: Effect | None = None
+    edges: Callable[[PlateFacts], Sequence[int]] | None = None
+    drawn: Literal["", "corners", "plies"] = ""
 
     @property
     def parameter_set(self) -> ParameterSet:
@@ -221,6 +242,25 @@ class Effect:
         placed = self.at(tuple(float(values[p.name]) for p in self.coordinates))
         return replace(placed, parameters=self.sizes, size_factor=None)
 
+    def again(self) -> Effect:
+        """A second one of the same cause on a plate, with a name and parameters of its own."""
+        assert self.change is not None
+        return replace(
+            self,
+            name=_SECOND.format(self.name),
+            title=f"second {self.title}",
+            parameters=tuple(replace(p, name=_SECOND.format(p.name)) for p in self.parameters),
+            change=partial(_changed_again, self.change),
+            at=None if self.at is None else partial(_at_again, self.at),
+            smooth=tuple(map(_SECOND.format, self.smooth)),
+            repeats=self,
+        )
+
+    @property
+    def forms(self) -> tuple[Effect, ...]:
+        """It and its alternatives."""
+        return (self, *self.alternatives)
+
     @property
     def is_anywhere(self) -> bool:
         """Whether its place is among its parameters."""
@@ -234,6 +274,28 @@ class Effect:
     def goes_with(self, other: Effect) -> bool:
         """Whether the two can act together."""
         return other.name not in self.excludes and self.name not in other.excludes
+
+
+def _changed_again(
+    change: Callable[[Problem, PlateFacts], Problem], problem: Problem, facts: PlateFacts
+) -> Problem:
+    """The problem with a second effect: the terms of the first one, with the parameters of the second."""
+    changed = change(problem, facts)
+    n = len(problem.terms)
+    added = (
+        replace(t, name=_SECOND.format(t.name), coefficients=partial(_of_second, t.coefficients))
+        for t in changed.terms[n:]
+    )
+    return replace(changed, terms=(*changed.terms[:n], *added))
+
+
+def _of_second(coefficients: CoefficientFunction, state: PlateState, values: Values) -> Array:
+    ending = _SECOND.format("")
+    return coefficients(state, {n.removesuffix(ending): v for n, v in values.items() if n.endswith(ending)})
+
+
+def _at_again(at: Callable[[Place], Effect], place: Place) -> Effect:
+    return at(place).again()
 
 
 def scale_of(parameter: Parameter) -> float:
@@ -252,6 +314,8 @@ def extend(problem: Problem, effect: Effect, facts: PlateFacts) -> Problem:
             f"{facts.layup.text}; applicable(facts) lists those that are"
         )
     if effect.change is None:
+        if effect.on_plate is not None:
+            raise ValueError(f"effect {effect.name}: take one of its forms, variants(effect, facts)")
         acts_on = "frequencies" if effect.observe else "pairing" if effect.pairings else "priors"
         raise ValueError(
             f"effect {effect.name} acts on the {acts_on}, not on the plate; use its `observe` "
@@ -262,11 +326,13 @@ def extend(problem: Problem, effect: Effect, facts: PlateFacts) -> Problem:
 
 
 def variants(effect: Effect, facts: PlateFacts) -> tuple[Effect, ...]:
-    """The forms of the effect with the priors for this plate, equally probable.
+    """The forms of the effect that a plate may have with the priors for it, equally probable.
 
     A place that the plate's symmetries map on another one is in the prior once.
     """
-    return tuple(_for_plate(replace(form, alternatives=()), facts) for form in (effect, *effect.alternatives))
+    every = effect.on_plate(facts) if effect.on_plate else effect.forms
+    forms = (replace(form, parameters=effect.parameters, alternatives=()) for form in every)
+    return tuple(_for_plate(form, facts) for form in forms if form.applies_to(facts))
 
 
 def _for_plate(effect: Effect, facts: PlateFacts) -> Effect:
@@ -312,6 +378,17 @@ def either_sign(
     end = _CUT * scale if end is None else end
     low, high = end if isinstance(end, tuple) else (-end, end)
     return Parameter(name, unit, _prior(scale, gross, low, high), 0.0, shown)
+
+
+def misstated(
+    name: str, scale: float, end: float | tuple[float, float], *, shown: tuple[str, float] = PERCENT
+) -> Parameter:
+    """The relative gross error of a number that a plate file states; its tolerance is in every hypothesis.
+
+    scale, end : of a Student-t, and where it is cut
+    """
+    low, high = end if isinstance(end, tuple) else (-end, end)
+    return Parameter(name, "", ScaledStudentT(scale, DEGREES_OF_FREEDOM, low, high), 0.0, shown)
 
 
 def one_sided(
@@ -360,27 +437,25 @@ def stacked(*columns: Any) -> Array:
     return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
 
+def symmetries(facts: PlateFacts) -> tuple[bool, bool, bool]:
+    """Whether a plate is its own image mirrored in x, mirrored in y, and turned by half a turn."""
+    in_x, in_y = facts.edges[0] == facts.edges[2], facts.edges[1] == facts.edges[3]
+    straight = facts.isotropic or bool(np.all(np.isin(np.abs(facts.layup.angles_deg), (0.0, 90.0))))
+    own = not facts.loaded
+    return own and in_x and straight, own and in_y and straight, own and in_x and in_y
+
+
 def _on_half_or_quarter(effect: Effect, facts: PlateFacts) -> Effect:
     """The effect where the plate's symmetries leave its place to be told, the sides x and y >= 0.5."""
-    in_x, in_y = facts.edges[0] == facts.edges[2], facts.edges[1] == facts.edges[3]
-    angles = facts.layup.angles_deg
-    straight = facts.isotropic or bool(np.all(np.isin(np.abs(angles), (0.0, 90.0))))
+    *mirrored, turned = symmetries(facts)
     # the half-turn alone leaves one half, whichever
-    halved = (
-        ()
-        if facts.loaded
-        else tuple(
-            axis
-            for axis, is_halved in enumerate((in_x and (straight or in_y), in_y and straight))
-            if is_halved
-        )
-    )
+    halved = [axis for axis in (0, 1) if mirrored[axis]] or [0] * turned
     if not halved:
         return effect
     size, *further = effect.parameters
     for axis in halved:
         further[axis] = coordinate(further[axis].name, 0.5)
-    images = "or its mirror images" if straight else "or the place turned by half a turn"
+    images = "or its mirror images" if any(mirrored) else "or the place turned by half a turn"
     variant = f"{effect.variant}, {images}" if effect.variant else images
     return replace(effect, parameters=(size, *further), variant=variant)
 
@@ -464,7 +539,7 @@ FREQUENCY_SCALE = Effect(
     title="wrong frequency scale",
     family="size",
     belongs_to="laboratory",
-    parameters=(either_sign("frequency_deviation", "", 0.002, 0.1, gross=EVEN, shown=PERCENT),),
+    parameters=(misstated("frequency_deviation", 0.02, 0.1),),
     note="all frequencies by one factor, after the plate; stiffer moduli would do the same",
     check="Measure the signal of a calibrated generator.",
     observe=_scaled,
@@ -475,7 +550,7 @@ VISCOELASTIC = Effect(
     title="frequency-dependent stiffness",
     family="damping",
     belongs_to="material",
-    parameters=(one_sided("loss_tangent", "", 0.01, 0.3, gross=0.05),),
+    parameters=(one_sided("loss_tangent", "", 0.01, 0.05),),
     note="d ln f = (tan delta / pi) ln(f / f_1), after the plate",
     check="Measure the modal damping: the loss tangent is twice the damping ratio.",
     observe=_stiffened,

@@ -18,6 +18,7 @@ from cpam_bayes.effects.effect import (
     Effect,
     PlateFacts,
     either_sign,
+    misstated,
     per_thickness,
     with_state,
 )
@@ -84,7 +85,7 @@ def _relative(
 
 THICKNESS = _relative(
     "thickness",
-    either_sign("thickness_deviation", "", 0.01, (-0.6, 1.5), gross=0.2, shown=PERCENT),
+    misstated("thickness_deviation", 0.2, (-0.6, 1.5)),
     title="wrong thickness",
     note="h (1 + deviation): thin-plate frequencies grow with h, as with stiffer moduli",
     check="Gauge the thickness at ten points or more.",
@@ -92,7 +93,7 @@ THICKNESS = _relative(
 )
 DENSITY = _relative(
     "density",
-    either_sign("density_deviation", "", 0.01, (-0.8, 2.0), gross=0.2, shown=PERCENT),
+    misstated("density_deviation", 0.2, (-0.8, 2.0)),
     title="wrong density",
     note="rho (1 + deviation): frequencies fall with rho^-1/2, as with softer moduli",
     check="Weigh the plate and state its mass.",
@@ -100,17 +101,56 @@ DENSITY = _relative(
 )
 LENGTH = _relative(
     "length",
-    either_sign("length_deviation", "", 0.002, 0.4, gross=0.05, shown=PERCENT),
+    misstated("length_deviation", 0.05, 0.4),
     title="wrong length",
     note="a (1 + deviation)",
     check="Measure the length along both edges.",
 )
 WIDTH = _relative(
     "width",
-    either_sign("width_deviation", "", 0.002, 0.4, gross=0.05, shown=PERCENT),
+    misstated("width_deviation", 0.05, 0.4),
     title="wrong width",
     note="b (1 + deviation)",
     check="Measure the width along both edges.",
+)
+# Sides nearer to each other than this are not exchanged: what it changes is within a tolerance of either.
+_SQUARE = 0.005
+
+
+def _sides_differ(facts: PlateFacts) -> bool:
+    """Whether exchanging the sides is another plate; known masses are where they are."""
+    apart = abs(facts.length / facts.width - 1.0) > _SQUARE
+    turned = facts.isotropic and len(set(facts.edges)) == 1
+    return apart and not turned and not facts.loaded
+
+
+def _exchanged(state: PlateState, values: Values) -> PlateState:
+    del values
+    return replace(state, length=state.width, width=state.length)
+
+
+def _exchange(problem: Problem, facts: PlateFacts) -> Problem:
+    del facts
+    return with_state(problem, _exchanged)
+
+
+def _sides_of(facts: PlateFacts) -> tuple[Effect, ...]:
+    """The plate with a and b exchanged; between equal edges it has the spectrum of the layup turned."""
+    alike = len(set(facts.edges)) == 1
+    title = f"{SWAPPED_SIDES.title}, or the layup turned by 90 degrees" if alike else SWAPPED_SIDES.title
+    return (replace(SWAPPED_SIDES, change=_exchange, title=title),)
+
+
+SWAPPED_SIDES = Effect(
+    name="swapped_sides",
+    title="length and width exchanged",
+    family="size",
+    belongs_to="plate",
+    parameters=(),
+    note="a and b exchanged; between four equal edges the spectrum is that of the layup turned by 90 degrees",
+    check="Compare which side runs along the 0 degree direction with length_mm of the file.",
+    on_plate=_sides_of,
+    applies_to=_sides_differ,
 )
 
 
@@ -307,7 +347,8 @@ def _edges_may_lean(facts: PlateFacts) -> bool:
     return not any(edge.follows_axis for edge in conditions(facts.edges))
 
 
-TAPER_X, TAPER_Y = _tapered("taper_x", "x", "length"), _tapered("taper_y", "y", "width")
+TAPER_X = _tapered("taper_x", "x", "length")
+TAPER_Y = _tapered("taper_y", "y", "width")
 SKEW = Effect(
     name="skew",
     title="corners not square",

@@ -43,6 +43,9 @@ from cpam_bayes.mechanics.problem import (
 from cpam_bayes.parameters import LogUniform, Parameter
 from cpam_bayes.plate.laminate import SHEAR, LaminateGeometry, reduced_stiffness, thickness_powers
 
+# Transverse shear moduli of a composite are within this factor, as a logarithm, of what is assumed of them.
+_FACTOR_TWO = float(np.log(2.0))
+
 
 def rotated(geometry: LaminateGeometry, angle_deg: Array) -> LaminateGeometry:
     """The layup with every ply turned by an angle (...), degrees.
@@ -227,6 +230,7 @@ _BELL = Effect(
     at=partial(_damage_at, "bell"),
     local="bell",
     variant=_WORDS["bell"],
+    form_error=0.07,
 )
 DAMAGE = replace(
     _BELL,
@@ -303,7 +307,7 @@ TRANSVERSE_SHEAR = Effect(
     title="transverse shear stiffness",
     family="stiffness",
     belongs_to="material",
-    parameters=(either_sign("log_shear_factor", "", 0.3, 2.4, gross=0.8),),
+    parameters=(either_sign("log_shear_factor", "", 0.3, _FACTOR_TWO),),
     note="A_s exp(t): nothing on thin plates, the higher modes of thick ones",
     check="Measure further, higher modes; they depend on it most.",
     change=_transverse_shear,
@@ -314,7 +318,7 @@ SHEAR_RATIO = Effect(
     title="shear modulus G13",
     family="stiffness",
     belongs_to="material",
-    parameters=(either_sign("shear_ratio_deviation", "", 0.25, (-0.8, 2.0), gross=0.5, shown=PERCENT),),
+    parameters=(either_sign("shear_ratio_deviation", "", 0.25, (-0.5, 1.0), shown=PERCENT),),
     note="G13 (1 + r), which is G12 unless given",
     check="Look up G13 of the material, or test a short beam.",
     change=_shear_ratio,
@@ -333,6 +337,7 @@ RESIN_SKIN = Effect(
     applies_to=_is_composite,
     size_factor=per_thickness,
     sign=-1,
+    form_error=0.1,
 )
 
 
@@ -406,7 +411,7 @@ MEMBRANE_STRESS = Effect(
     title="residual stress",
     family="stress",
     belongs_to="plate",
-    parameters=(either_sign("residual_stress", "Pa", 0.3e6, 10e6, gross=EVEN, shown=MEGAPASCAL),),
+    parameters=(either_sign("residual_stress", "Pa", 0.3e6, 10e6, shown=MEGAPASCAL),),
     note="integral of grad w . N grad w, N from (1 - x^2)^2 (1 - y^2)^2 with max abs N / h given: "
     "raises some modes and lowers others",
     check="Measure again after annealing, or cut the plate and gauge the strain that this releases.",

@@ -1,4 +1,4 @@
-"""The catalogue as the tables of docs/effects.md: ``python -m cpam_bayes.effects.table docs/effects.md``."""
+"""The catalogue as the table of docs/effects.md: ``python -m cpam_bayes.effects.table docs/effects.md``."""
 
 from __future__ import annotations
 
@@ -11,30 +11,21 @@ from cpam_bayes.effects.effect import Effect, scale_of
 from cpam_bayes.parameters import Parameter
 
 BEGIN, END = "<!-- catalogue -->", "<!-- end of the catalogue -->"
-_SIGNS = {1: "rise", -1: "fall", 0: "either"}
-_RECORD = ("cause", "what it is", "family", "of the", "parameter", "1 sd", "up to", "frequencies", "not with")
-_NOTES = ("cause", "how it enters", "what to check in the laboratory")
+_HEAD = ("cause", "what it is", "of the", "1 sd", "up to", "how it enters")
 
 
 def catalogue_tables(effects: Sequence[Effect] = CATALOGUE) -> str:
-    """Two Markdown tables: the records, and how effects enter with what to check."""
-    notes = ((e.name, e.note, e.check) for e in effects)
-    return f"{_table(_RECORD, map(_record, effects))}\n\n{_table(_NOTES, notes)}"
+    """A Markdown table: a cause a row, with its prior and how it enters."""
+    return _table(_HEAD, map(_row, effects))
 
 
-def _record(effect: Effect) -> tuple[str, ...]:
-    sized = effect.sizes
-    parameters = [f"{p.name}{' >= 0' if p.prior.lower >= 0.0 else ''}" for p in sized]
-    parameters += [p.name for p in effect.coordinates]
+def _row(effect: Effect) -> tuple[str, ...]:
     # a size that follows the plate's has its words in the note
     of_plate = effect.is_anywhere and effect.size_factor is not None
-    sizes = ["of the plate" if of_plate else _size(p) for p in sized]
-    ends = ["of the plate" if of_plate else _ends(p) for p in sized]
-    others = [name for name in effect.excludes if name != effect.name]
-    texts = (", ".join(t) or "-" for t in (parameters, sizes, ends))
-    sign = _SIGNS[effect.sign] if effect.parameters else "-"
-    of = (effect.name, effect.title, effect.family, effect.belongs_to)
-    return (*of, *texts, sign, ", ".join(others) or "-")
+    sizes = ["of the plate" if of_plate else _size(p) for p in effect.sizes]
+    ends = ["of the plate" if of_plate else _ends(p) for p in effect.sizes]
+    texts = (", ".join(t) or "-" for t in (sizes, ends))
+    return (effect.name, effect.title, effect.belongs_to, *texts, effect.note)
 
 
 def _size(parameter: Parameter) -> str:
@@ -50,7 +41,8 @@ def _ends(parameter: Parameter) -> str:
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    return "\n".join(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows))
+    first, *others = (f"| {' | '.join(row)} |" for row in (head, *rows))
+    return "\n".join((first, f"|{'---|' * len(head)}", *others))
 
 
 if __name__ == "__main__":

@@ -121,6 +121,10 @@ class ComposedModel:
             ]
         return float(max(errors)) if errors else None
 
+    def without_changes(self) -> ComposedModel:
+        """The bare plates with the same lists."""
+        return replace(self, parts=tuple(replace(part, changes=()) for part in self.parts))
+
     def about(
         self, x: Array, tolerance: float, fraction: float, *, least_size: int = LARGE_BASIS
     ) -> ComposedModel:

@@ -20,17 +20,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from cpam_bayes.answer import Notice
 from cpam_bayes.effects.effect import FREQUENCY_SCALE as SCALE
+from cpam_bayes.forward_model.labels import LabelledModel
 from cpam_bayes.forward_model.model import (
     SIZES,
+    ForwardModel,
     PlateModel,
+    Prediction,
     model_on_basis,
     plate_problem,
     reference_constants,
 )
+from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.mechanics.modes import Mode
 from cpam_bayes.mechanics.problem import PlateState
-from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
-from cpam_bayes.plate import Plate, Specimen, split_name
+from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Uniform
+from cpam_bayes.plate import Plate, Specimen
 from cpam_bayes.plate.edges import conditions
 from cpam_bayes.plate.laminate import (
     angle_functions,
@@ -283,10 +287,12 @@ class ScaleError:
 class Powers:
     """Powers of the frequencies in the constants, the sizes and the frequency scale, d ln f / d ln p.
 
+    frequencies : (n_f,) predicted there, Hz
     of_constants : (n_f, n)
     of_sizes : name of the number -> (n_f,); of a weighed plate the mass stays where a size changes
     """
 
+    frequencies: Array
     of_constants: Array
     of_sizes: Mapping[str, Array]
 
@@ -312,23 +318,70 @@ def powers(
     varied = model_on_basis(problem, x, model.n_modes, model.error, model.basis)
     predicted = varied.predict(x, jacobian=True)
     assert predicted.jacobian is not None
-    relative = (predicted.jacobian[0] * x / predicted.frequencies[0][:, None])[order]
+    f = predicted.frequencies[0][order]
+    relative = predicted.jacobian[0][order] * x / f[:, None]
     n = len(constants)
     of_sizes = {name: relative[:, n + i] for i, name in enumerate(sizes)}
-    return Powers(relative[:, :n], {**of_sizes, FREQUENCY_SCALE: np.ones(len(order))})
+    return Powers(f, relative[:, :n], {**of_sizes, FREQUENCY_SCALE: np.ones(len(order))})
 
 
-def scale_errors(
+@dataclass(frozen=True, slots=True, eq=False)
+class Absorbed:
+    """What the constants take up of errors of sizes, mass and frequency scale.
+
+    specimen : whose numbers these are
+    constants : unknown -> its most probable value, SI
+    prior : (n,) relative standard deviations of their priors
+    residual : (n_f,) of the frequencies, predicted - measured over the noise
+    names : of the k numbers; none of a model of which nothing is known
+    shift : (k, n) relative, of the constants, for each relative excess of a number
+    change, left : (k, n_f) likewise of the frequencies over their noise, and what the constants leave of it
+    """
+
+    specimen: Specimen
+    constants: Mapping[str, float]
+    prior: Array
+    residual: Array
+    names: tuple[str, ...]
+    shift: Array
+    change: Array
+    left: Array
+
+    def errors(self, *, usual: bool) -> tuple[ScaleError, ...]:
+        """By each number; usual : whether intervals contain what [plate.sd] leaves out, as it usually is."""
+        known, errors = known_errors(self.specimen), []
+        for name, shift, change, left in zip(self.names, self.shift, self.change, self.left, strict=True):
+            visible = float(np.linalg.norm(left) / np.linalg.norm(change))
+            sd = known[name] if usual or name in self.specimen.plate.sd else None
+            shifts = dict(zip(self.constants, shift.tolist(), strict=True))
+            errors.append(ScaleError(name, shifts, visible, sd))
+        return tuple(errors)
+
+    def shifts(self) -> tuple[Array, Array]:
+        """Relative shifts of the constants by all that is known to a tolerance: their mean (n,), and (k, n).
+
+        Each row of these times a standard normal number, of k independent ones: the errors as frequencies and
+        priors leave them.
+        """
+        known, unknowns = known_errors(self.specimen), self.specimen.unknowns
+        sd = np.array([known[name] for name in self.names])[:, None]
+        shift, left = sd * self.shift, sd * self.left
+        away = np.array([1.0 - unknowns[name].prior.mean / value for name, value in self.constants.items()])
+        moved = shift / self.prior
+        precision = np.eye(len(sd)) + left @ left.T + moved @ moved.T
+        mean = -np.linalg.solve(precision, left @ self.residual + moved @ (away / self.prior))
+        return mean @ shift, np.linalg.solve(np.linalg.cholesky(precision), shift)
+
+
+def absorbed(
     specimen: Specimen,
     model: PlateModel,
     constants: Mapping[str, float],
     order: Array,
     spread: Mapping[str, float],
     listed: Array | None = None,
-    *,
-    usual: bool = False,
-) -> tuple[ScaleError, ...]:
-    """Errors by each size, the density or mass, and the frequency scale.
+) -> Absorbed:
+    """What the constants take up of errors of sizes, mass and frequency scale.
 
     The frequencies are weighed by the noise that the file states.
 
@@ -337,28 +390,27 @@ def scale_errors(
     model, constants, order : as of ``powers``
     spread : unknown -> standard deviation of its prior, SI
     listed : (n_f,) numbers of the frequencies in the list; all of them if left out
-    usual : whether intervals contain, beside [plate.sd], the usual errors of what it leaves out
     """
-    found = powers(specimen, model, constants, order)
-    if found is None or specimen.measurement is None:
-        return ()
-    measurement = specimen.measurement
-    relative = _USUAL_NOISE if measurement.relative_std is None else measurement.relative_std
-    noise = measurement.noise_sd(relative) / measurement.frequencies
-    noise = noise[np.arange(len(order)) if listed is None else listed]
+    found, measurement = powers(specimen, model, constants, order), specimen.measurement
     prior = np.array([spread[name] / abs(value) for name, value in constants.items()])
+    if found is None or measurement is None:
+        none = np.zeros((0, len(order)))
+        return Absorbed(
+            specimen, constants, prior, np.zeros(len(order)), (), np.zeros((0, len(constants))), none, none
+        )
+    relative = _USUAL_NOISE if measurement.relative_std is None else measurement.relative_std
+    own = np.arange(len(order)) if listed is None else listed
+    measured = measurement.frequencies[own]
+    noise = measurement.noise_sd(relative)[own] / measured
+    residual = (found.frequencies / measured - 1.0) / noise
     weighted = found.of_constants / noise[:, None]
     curvature = weighted.T @ weighted + np.diag(prior**-2.0)
-    known, errors = known_errors(specimen), []
-    # frequencies follow the true size, and the constants have taken up what the model lacks
-    for name, change in found.of_sizes.items():
-        # what the analyser shows is no frequency of the plate: a scale too large shows as stiffer constants
-        shift = -np.linalg.solve(curvature, weighted.T @ (change / noise))
-        left = (change + found.of_constants @ shift) / noise
-        visible = float(np.linalg.norm(left) / np.linalg.norm(change / noise))
-        sd = known[name] if usual or name in specimen.plate.sd else None
-        errors.append(ScaleError(name, dict(zip(constants, shift.tolist(), strict=True)), visible, sd))
-    return tuple(errors)
+    change = np.array(list(found.of_sizes.values())) / noise
+    # frequencies follow the true size, and the constants have taken up what the model lacks; what the
+    # analyser shows is no frequency of the plate: a scale too large shows as stiffer constants
+    shift = -np.linalg.solve(curvature, weighted.T @ change.T).T
+    left = change + shift @ weighted.T
+    return Absorbed(specimen, constants, prior, residual, tuple(found.of_sizes), shift, change, left)
 
 
 def known_errors(specimen: Specimen) -> dict[str, float]:
@@ -372,13 +424,113 @@ def known_errors(specimen: Specimen) -> dict[str, float]:
     return known if measurement is None else {**known, FREQUENCY_SCALE: measurement.scale_sd}
 
 
-def thin_plate_errors(specimen: Specimen) -> tuple[ScaleError, ...]:
-    """The same of a thin plate whose layup is open: f^2 is proportional to E h^2 / rho, or E h^3 / m."""
-    plate = specimen.plate
-    moduli = [name for name in specimen.unknowns.names if split_name(name)[1] != "nu12"]
-    thickness, weighed = (2.0, "density") if plate.mass is None else (3.0, "mass")
-    moved = {"thickness": -thickness, weighed: 1.0, FREQUENCY_SCALE: -2.0}
-    return tuple(ScaleError(name, dict.fromkeys(moduli, power), 0.0, None) for name, power in moved.items())
+def common_errors(
+    specimen: Specimen, model: PlateModel, constants: Mapping[str, float], order: Array
+) -> dict[str, Array]:
+    """Relative errors of the frequencies, a standard deviation, by what they have in common, (n_f,) each.
+
+    By name: sizes, mass or density and frequency scale as they are known, to first order, as of ``powers``.
+    The model is converged on a Ritz space.
+    """
+    found = powers(specimen, model, constants, order)
+    assert found is not None
+    return {name: sd * found.of_sizes[name] for name, sd in known_errors(specimen).items()}
+
+
+# Standard deviations that a number is looked at about its value.
+_REACH = 5.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TolerantModel:
+    """A model whose sizes, mass and frequency scale are known to a tolerance, f prod_k (s_k / s_k0)^P_k.
+
+    To first order in those that the file leaves open; what it states an sd of the model has as it is.
+
+    model : with these numbers as the file has them
+    tolerances : the numbers, normal about their values
+    powers : (n_numbers, n_modes) P, as of ``powers``
+    by_rank : whether modes stand in ascending order, which close ones change with a size
+    """
+
+    model: ForwardModel
+    tolerances: ParameterSet
+    powers: Array
+    by_rank: bool
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """Those of the model, then the numbers."""
+        return self.model.parameters.union(self.tolerances)
+
+    def admissible(self, x: Array) -> Array:
+        """True where parameter vectors (m, n) satisfy the constraints of the material, (m,) bool."""
+        return self.model.admissible(x[:, : self.model.parameters.size])
+
+    def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:
+        """Frequencies at parameter vectors (m, n), and derivatives."""
+        n = self.model.parameters.size
+        found = self.model.predict(x[:, :n], jacobian=jacobian)
+        nominal = np.array([p.prior.mean for p in self.tolerances.parameters])
+        factor = np.exp(np.log(x[:, n:] / nominal) @ self.powers)
+        f, slopes = found.frequencies * factor, None
+        if found.jacobian is not None:
+            by_number = f[:, :, None] * self.powers.T / x[:, None, n:]
+            slopes = np.concatenate((found.jacobian * factor[:, :, None], by_number), axis=2)
+        if not self.by_rank:
+            return Prediction(f, slopes)
+        order = np.argsort(f, axis=1, kind="stable")
+        f = np.take_along_axis(f, order, axis=1)
+        return Prediction(
+            f, None if slopes is None else np.take_along_axis(slopes, order[:, :, None], axis=1)
+        )
+
+
+def tolerant(
+    specimen: Specimen, model: ReducedModel | LabelledModel, constants: Mapping[str, float], order: Array
+) -> ForwardModel:
+    """A model with the usual tolerances of what the file leaves open.
+
+    Parameters
+    ----------
+    constants : unknown -> its value where powers are taken, SI
+    order : (n_modes,) mode at each place of the predictions
+    """
+    open_to = {
+        name: sd for name, sd in known_errors(specimen).items() if sd > 0.0 and name not in specimen.plate.sd
+    }
+    found = powers(specimen, model.full, constants, order) if open_to else None
+    if found is None:
+        return model
+    sizes = {**specimen.plate.sizes, FREQUENCY_SCALE: 1.0}
+    tolerances = ParameterSet(
+        tuple(_known_to(name, sizes[name], sd * sizes[name]) for name, sd in open_to.items())
+    )
+    changed = np.array([found.of_sizes[name] for name in open_to])
+    return TolerantModel(model, tolerances, changed, by_rank=not isinstance(model, LabelledModel))
+
+
+def _known_to(name: str, value: float, sd: float) -> Parameter:
+    prior = TruncatedNormal(value, sd, value - _REACH * sd, value + _REACH * sd)
+    return Parameter(name, SIZES.get(name, ""), prior)
+
+
+def common_covariance(lists: Sequence[tuple[str, int, Mapping[str, Array]]]) -> Array:
+    """Relative covariance of the frequencies of several lists by errors that they have in common, (n, n).
+
+    Sizes and mass are those of a specimen, common to its tests; the frequency scale, of one analyser, is
+    common to all lists.
+
+    lists : specimen, number of frequencies, and errors by name, as of ``common_errors``
+    """
+    first = np.cumsum([0, *(size for _, size, _ in lists)])
+    errors: dict[tuple[str, str], Array] = {}
+    for i, (specimen, _, of_list) in enumerate(lists):
+        for name, error in of_list.items():
+            key = ("" if name == FREQUENCY_SCALE else specimen, name)
+            errors.setdefault(key, np.zeros(first[-1]))[first[i] : first[i + 1]] = error
+    relative = np.array(list(errors.values())).reshape(-1, first[-1])
+    return np.asarray(relative.T @ relative)
 
 
 def number_of(cause: str, plate: Plate) -> str | None:

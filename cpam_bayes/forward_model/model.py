@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +26,9 @@ from cpam_bayes.mechanics.modes import (
 )
 from cpam_bayes.mechanics.problem import PlateState, Problem, Values, bare_plate
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
-from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Uniform
-from cpam_bayes.plate import Hybrid, Material, Plate, Specimen
-from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, ShearModel, laminate_geometry
+from cpam_bayes.parameters import Parameter, ParameterSet, Prior, TruncatedLogNormal, TruncatedNormal, Uniform
+from cpam_bayes.plate import Hybrid, Material, Plate, Specimen, split_name
+from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, MaterialSymmetry, ShearModel, laminate_geometry
 from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
@@ -35,6 +36,16 @@ Array = NDArray[Any]
 NO_PARAMETERS = ParameterSet(())
 SIZES = {"length": "m", "width": "m", "thickness": "m", "density": "kg/m3", "mass": "kg"}
 """Quantities of a plate that are measured beside its frequencies, with their units."""
+ASSUMED_SD: Final[Mapping[MaterialSymmetry, float]] = {
+    "isotropic": 0.25,
+    "transversely_isotropic": 0.25,
+    "orthotropic": 0.4,
+}
+"""Standard deviation of the logarithm of a reference constant where [material.sd] leaves it out."""
+# A log-normal prior begins here, of its median; [unknowns] may have bounds at zero and below.
+_LEAST_OF_REFERENCE = 1e-3
+# The bounds of a constant have to reach this near its reference, standard deviations.
+_REACH = 4.0
 # A size varies within this many standard deviations and within these factors of its value.
 _SIZE_RANGE, _SIZE_FACTOR = 5.0, 4.0
 # Points of a shape along each side.
@@ -56,28 +67,61 @@ def angle_parameters(specimen: Specimen) -> ParameterSet:
 
 
 def constant_parameters(specimen: Specimen, cut: float = np.inf) -> ParameterSet:
-    """The unknown constants with what is known of them: the priors of [unknowns] and of [material.sd].
+    """The unknown constants with the prior of all verbs: the bounds of [unknowns] times the references.
 
-    A constant whose reference has a standard deviation is normal about it, cut at its bounds and at ``cut``
-    standard deviations; others keep the prior of [unknowns]. Raises
-    ``ValueError`` where the bounds leave nothing of it.
+    A reference with a standard deviation is normal, cut at its bounds and at ``cut`` standard deviations.
+    Without one it is log-normal, `ASSUMED_SD` wide, where it lies within its bounds. A normal prior of
+    [unknowns] stays, as do bounds without a reference and with ``known = false`` under [material].
+
+    A posterior of a former plate stays too; what the prior would be without it tells what was measured.
+
+    Raises ``ValueError`` where the bounds leave nothing of a reference with a standard deviation.
     """
-    unknowns = tuple(_with_sd(p, specimen, cut) for p in specimen.unknowns.parameters)
-    return ParameterSet(unknowns, specimen.unknowns.fixed)
+    unknowns = []
+    for p in specimen.unknowns.parameters:
+        bounds = p if p.coupled is None else replace(p, prior=Uniform(p.prior.lower, p.prior.upper))
+        prior = _about_reference(bounds, specimen, cut)
+        if p.coupled is None:
+            unknowns.append(replace(p, prior=prior))
+        else:
+            unknowns.append(replace(p, coupled=replace(p.coupled, unmeasured_sd=prior.sd)))
+    return ParameterSet(tuple(unknowns), specimen.unknowns.fixed)
 
 
-def _with_sd(parameter: Parameter, specimen: Specimen, cut: float) -> Parameter:
-    mean, sd = (source.get(parameter.name) for source in (specimen.material.constants, specimen.material.sd))
-    prior = parameter.prior
-    if mean is None or sd is None:
-        return parameter
-    low, high = max(prior.lower, mean - cut * sd), min(prior.upper, mean + cut * sd)
-    if not low < high:
+def with_references(specimen: Specimen) -> Specimen:
+    """The specimen whose unknowns have the prior of `constant_parameters`."""
+    return replace(specimen, unknowns=constant_parameters(specimen))
+
+
+def assumed_spreads(specimen: Specimen) -> dict[str, float]:
+    """Unknowns whose references count with an assumed spread, as of `constant_parameters` -> that spread."""
+    spreads = {}
+    for parameter in specimen.unknowns.parameters:
+        prior, (of, name) = parameter.prior, split_name(parameter.name)
+        bounds = replace(parameter, prior=Uniform(prior.lower, prior.upper))
+        assumed = _about_reference(bounds, specimen, np.inf)
+        if not assumed.is_range and assumed == prior and name not in specimen.material.parts[of].sd:
+            spreads[parameter.name] = ASSUMED_SD[specimen.material.parts[of].symmetry]
+    return spreads
+
+
+def _about_reference(parameter: Parameter, specimen: Specimen, cut: float) -> Prior:
+    of, name = split_name(parameter.name)
+    material, prior = specimen.material.parts[of], parameter.prior
+    mean, sd = material.constants.get(name), material.sd.get(name)
+    if mean is None or not material.known or not prior.is_range:
+        return prior
+    if sd is None:
+        if not (mean > 0.0 and prior.lower <= mean <= prior.upper):
+            return prior
+        low = max(prior.lower, _LEAST_OF_REFERENCE * mean)
+        return TruncatedLogNormal(mean, ASSUMED_SD[material.symmetry], low, prior.upper)
+    if not (prior.lower < mean + _REACH * sd and mean - _REACH * sd < prior.upper):
         raise ValueError(
-            f"{specimen.source}: unknowns.{parameter.name}: its bounds leave nothing within {cut:g} "
+            f"{specimen.source}: unknowns.{parameter.name}: its bounds leave nothing within {_REACH:g} "
             "standard deviations of [material.sd]; widen the bounds or the standard deviation"
         )
-    return replace(parameter, prior=TruncatedNormal(mean, sd, low, high))
+    return TruncatedNormal(mean, sd, max(prior.lower, mean - cut * sd), min(prior.upper, mean + cut * sd))
 
 
 def size_parameters(specimen: Specimen) -> ParameterSet:
@@ -323,6 +367,21 @@ def training_sets(problem: Problem, n: int, rng: np.random.Generator) -> Array:
     return sets[:n]
 
 
+# Least range, relative, over which coefficients show which of them depend on each other.
+_RELATED = 0.2
+
+
+def spread_out(problem: Problem, x: Array) -> Array:
+    """Parameter vectors (m, n) spread where the prior box is narrow, so that coefficients show relations.
+
+    Over a side known to 0.1 % all its powers are one, to more digits than the softest mode of a thin clamped
+    plate leaves of the largest term.
+    """
+    parameters = problem.parameters
+    middle, half = 0.5 * (parameters.upper + parameters.lower), 0.5 * (parameters.upper - parameters.lower)
+    return np.asarray(middle + (x - middle) * np.maximum(1.0, _RELATED * np.abs(middle) / half))
+
+
 @dataclass(frozen=True, slots=True)
 class Samples:
     """Parameter vectors (m, n_parameters) that tell a discretisation what it will be asked.
@@ -389,18 +448,20 @@ def converged_model(
     shear: ShearModel = ENERGY_CONSISTENT,
     tolerance: Tolerance | None = None,
     centre: Array | None = None,
+    near: int = 2,
+    far: int = 3,
 ) -> PlateModel:
     """The plate of a specimen on a Ritz space that is converged about given constants.
 
     parameters : what varies (``NO_PARAMETERS`` for the reference constants alone).
-    centre : as in ``convergence_samples``.
+    centre, near, far : as in ``convergence_samples``.
 
     Raises ``ValueError`` for a plate with a mesh.
     """
     if specimen.plate.mesh is not None:
         raise ValueError(f"{specimen.source}: the Ritz space is of a rectangle, not of {specimen.plate.mesh}")
     problem = plate_problem(specimen, parameters, shear)
-    samples = convergence_samples(specimen, problem, centre)
+    samples = convergence_samples(specimen, problem, centre, near, far)
     converged = converge(problem, parameters.mapping(samples.x), n_modes, tolerance, samples.allowance)
     basis = (converged.settings, converged.keep)
     return PlateModel(converged.operator, n_modes, converged.error, basis)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from cpam_bayes.answer import Notice, Severity
-from cpam_bayes.errors import PlateFileError
+from cpam_bayes.errors import LowFrequencyError, PlateFileError
 from cpam_bayes.formatting import listed, significant
 from cpam_bayes.forward_model.model import NO_PARAMETERS, plate_problem, reference_constants
 from cpam_bayes.mechanics.dense import discretise
@@ -364,7 +364,7 @@ def require_reachable(specimen: Specimen) -> Specimen:
 
 
 def _require_no_motion_of_the_support(specimen: Specimen, lowest: float) -> None:
-    """Raise `PlateFileError` if the first frequencies are far below any that bends the plate.
+    """Raise `LowFrequencyError` if the first frequencies are far below any that bends the plate.
 
     lowest : Hz, the first frequency with all moduli at their lower bounds
     """
@@ -384,11 +384,11 @@ def _require_no_motion_of_the_support(specimen: Specimen, lowest: float) -> None
         if any(edge.is_free for edge in conditions(specimen.plate.edges))
         else "hum"
     )
-    raise PlateFileError(
+    raise LowFrequencyError(
         f"{specimen.source}: measurement.frequencies_hz: received {received} Hz, "
         f"where no constants within [unknowns] give this plate a frequency below "
         f"{significant(lowest, 3)} Hz: {many} of the list {are} most likely "
-        f"{motion}, which is no mode of the plate; leave {them} out"
+        f"{motion}, which is no mode of the plate; leave {them} out, or set the decimal point right"
     )
 
 
@@ -527,7 +527,8 @@ def common_factor_slips(
     Of a thin plate f^2 is proportional to E h^2 / rho, or E h^3 / m: an error of h, rho or m is a common
     factor of all moduli, which no frequency shows.
 
-    estimates : modulus that the frequencies determine -> its estimate and standard deviation, Pa
+    estimates : modulus that the frequencies determine -> its estimate and standard deviation, Pa, without its
+    reference as prior
     """
     reference, ratios, distances = reference_constants(specimen), {}, {}
     for name, (value, sd) in estimates.items():

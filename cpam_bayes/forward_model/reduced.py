@@ -15,7 +15,13 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from cpam_bayes.forward_model.model import PlateModel, Prediction, model_on_basis, training_sets
+from cpam_bayes.forward_model.model import (
+    PlateModel,
+    Prediction,
+    model_on_basis,
+    spread_out,
+    training_sets,
+)
 from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock, DenseOperator, RitzBlock
 from cpam_bayes.mechanics.loaded import unloaded
 from cpam_bayes.mechanics.modes import check_rigid
@@ -112,7 +118,8 @@ def reduce(
     """
     problem, tolerance = model.operator.problem, settings.tolerance
     many = training_sets(problem, max(_RELATIONS, settings.training), rng)
-    full = replace(model, operator=compressed(model.operator, *model.coefficients(many)))
+    related = model.coefficients(spread_out(problem, many))
+    full = replace(model, operator=compressed(model.operator, *related))
     known = _solved(full, many[: settings.training], _FURTHER)
     for _ in range(settings.rounds):
         directions = _directions(full.operator, known)

@@ -5,14 +5,15 @@ that both lists share. In the modes phi of the plate, of unit modal mass, a mass
 
     (diag(lambda) - lambda' (I + m U U^T)) q = 0,  U = [u, v, w, r phi_x, r phi_y](x, y),
 
-with r its radius of gyration about the midplane (Dowell, J. Appl. Mech. 46, 206, 1979). The lowest modes are
+with r its radius of gyration (Dowell, J. Appl. Mech. 46, 206, 1979) and U the mean over the disc that it
+covers: the same to second order in its radius, whether it bends with the plate or not. The lowest modes are
 kept; what the others answer to the mass is one vector a field. Places are weighed on a grid that is refined
 where the likelihood is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
@@ -33,18 +34,40 @@ from cpam_bayes.mechanics.ritz import evaluate_sector
 from cpam_bayes.plate.edges import FIELDS
 from cpam_bayes.running import single_blas_thread
 
-__all__ = ["AddedMass", "Finding", "LoadedPlate", "Repeatability", "find_mass", "loaded_plate"]
+__all__ = [
+    "AddedMass",
+    "Finding",
+    "LoadedPlate",
+    "Repeatability",
+    "find_masses",
+    "loaded_plate",
+    "spread_of_shifts",
+]
 
 Array = NDArray[Any]
 
 CLAIMED: Final = 0.95
 """Probability of a mass from which it is said to be there."""
-# A point mass is not quite a coin: standard deviation of a shift, as a fraction of it.
+# A coin neither bends with the plate nor is quite stiff: standard deviation of a shift, as a fraction of it.
 _FORM: Final = 0.02
+LARGEST: Final = 0.15
+"""The largest mass that is looked for, of the plate's."""
 # Masses, of the plate's: log-uniform prior between them, where shifts are computed.
-_LEAST, _MOST, _NODES = 5e-4, 0.15, 9
-# Radii of gyration of coins, magnets and accelerometers about the midplane, m, of equal probability.
-_GYRATIONS: Final = (2.5e-3, 5e-3, 8.5e-3)
+_LEAST, _NODES = 5e-4, 9
+# Part of the largest mass from which one is at the end, and probability there from which it may be heavier.
+_END, _BEYOND = 0.9, 0.05
+# Without a mass: probability that all frequencies changed by one factor, by temperature or the analyser, and
+# the standard deviation of its logarithm.
+_FACTOR_CHANGED, _FACTOR_SD = 0.1, 0.01
+# Probability of it from which it is said.
+_FACTOR_SAID: Final = 0.75
+# Mass over area of what is stuck to a plate, kg/m2, of equal probability: steel of 1.5 to 6 mm.
+_AREAL: Final = (12.0, 24.0, 48.0)
+_STEEL: Final = 7850.0
+# Mean over a disc, exact to the fifth power: places over its radius, and weights.
+_RING: Final = np.sqrt(2.0 / 3.0) * np.exp(1j * np.pi / 3.0 * np.arange(6))
+_DISC: Final = np.vstack(([0.0, 0.0], np.column_stack((_RING.real, _RING.imag))))
+_DISC_WEIGHTS: Final = np.array([2.0] + 6 * [1.0]) / 8.0
 # Cells along each side, times that a cell may be divided, cells divided at a time at most and at least, and
 # the log likelihood below the best from which on the others are not.
 _CELLS, _LEVELS, _DIVIDED, _LEAST_DIVIDED, _UNLIKELY = 24, 3, 96, 24, 12.0
@@ -74,7 +97,7 @@ class Finding(Enum):
     NOTHING = "nothing added"
     OPEN = "undecided"
     OTHER = "changed otherwise"
-    """Neither noise nor a mass anywhere explains the difference of the lists."""
+    """Neither noise nor a mass anywhere, up to `LARGEST`, explains the difference of the lists."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +125,7 @@ class LoadedPlate:
 
     eigenvalues : (k,) of the modes that are kept, rigid-body motions first, (rad/s)^2
     listed : (n,) those of the list
-    fields : points (p, 2) of 0 to 1 -> (5, p, N) of all N modes
+    fields : points (p, 2) of 0 to 1, radius in m -> (5, p, N) of all N modes, mean over a disc
     every : (N,) eigenvalues of all modes
     scatter : points -> (p, n) variance of phi^2 over the constants that the first list leaves open
     sides : m; mass : kg, with its relative standard deviation
@@ -110,7 +133,7 @@ class LoadedPlate:
 
     eigenvalues: Array
     listed: Array
-    fields: Callable[[Array], Array]
+    fields: Callable[[Array, float], Array]
     every: Array
     scatter: Callable[[Array], Array]
     sides: tuple[float, float]
@@ -119,13 +142,31 @@ class LoadedPlate:
 
     def masses(self) -> Array:
         """Masses at which shifts are computed, 0 first, kg, (_NODES + 1,)."""
-        return self.mass * np.concatenate(([0.0], np.geomspace(_LEAST, _MOST, _NODES)))
+        return self.mass * np.concatenate(([0.0], np.geomspace(_LEAST, LARGEST, _NODES)))
 
-    def shifts(self, points: Array, masses: Array, gyration: float) -> Array:
-        """ln f' - ln f of the list with masses (k,), kg, at points (p, 2), (p, k, n)."""
+    def shifts(self, points: Array, masses: Array, areal: float) -> Array:
+        """ln f' - ln f of the list with masses (k,), kg, at points (p, 2), (p, k, n).
+
+        areal : mass of a disc over its area, kg/m2
+        """
+        out = np.zeros((len(points), len(masses), len(self.listed)))
+        # a mean over a disc of radius r is a polynomial in r^2
+        largest = float(np.sqrt(masses.max() / (np.pi * areal)))
+        centre, middle, whole = (self.fields(points, largest * part) for part in (0.0, np.sqrt(0.5), 1.0))
+        for j, m in enumerate(masses):
+            if m > 0.0:
+                s = m / masses.max()
+                fields = (1.0 - s) * ((1.0 - 2.0 * s) * centre + 4.0 * s * middle) + s * (
+                    2.0 * s - 1.0
+                ) * whole
+                out[:, j] = self._shifts(fields, m, areal)
+        return out
+
+    def _shifts(self, fields: Array, mass: float, areal: float) -> Array:
+        """ln f' - ln f of the list with a mass where the fields of all modes are (5, p, N), (p, n)."""
         k = len(self.eigenvalues)
-        fields = self.fields(points)
-        fields[3:] *= gyration
+        # about its foot, of a disc of steel
+        fields[3:] *= np.sqrt(mass / (4.0 * np.pi * areal) + (areal / _STEEL) ** 2 / 3.0)
         low, high = fields[..., :k], fields[..., k:]
         # the modes above answer w and the rotations as at the middle of the list, as three modes of unit mass
         above = self.every[k:]
@@ -140,18 +181,13 @@ class LoadedPlate:
         answered = np.einsum("apj,bpj->pba", high, answer) / scale[:, :, None]
         answered = np.swapaxes(vectors, 1, 2) @ root @ answered
         load = np.concatenate((np.moveaxis(low, 0, -1), answered), axis=1)
-        values = np.concatenate((np.broadcast_to(self.eigenvalues, (len(points), k)), lam), axis=1)
+        values = np.concatenate((np.broadcast_to(self.eigenvalues, (fields.shape[1], k)), lam), axis=1)
         # (I + m L L^T)^-1/2 = I + Q ((1 + m s^2)^-1/2 - 1) Q^T of the singular vectors Q of L
         q, singular, _ = np.linalg.svd(load, full_matrices=False)
-        out = np.zeros((len(points), len(masses), len(self.listed)))
-        start = np.log(values[:, self.listed])
-        for j, m in enumerate(masses):
-            if m > 0.0:
-                less = (1.0 + m * singular**2) ** -0.5 - 1.0
-                w = np.eye(k + 3) + (q * less[:, None, :]) @ np.swapaxes(q, 1, 2)
-                found = np.linalg.eigvalsh((w * values[:, None, :]) @ w)
-                out[:, j] = 0.5 * (np.log(found[:, self.listed]) - start)
-        return out
+        less = (1.0 + mass * singular**2) ** -0.5 - 1.0
+        w = np.eye(k + 3) + (q * less[:, None, :]) @ np.swapaxes(q, 1, 2)
+        found = np.linalg.eigvalsh((w * values[:, None, :]) @ w)
+        return np.asarray(0.5 * (np.log(found[:, self.listed]) - np.log(values[:, self.listed])))
 
 
 @single_blas_thread
@@ -168,16 +204,16 @@ def loaded_plate(
     listed : (n,) mode of each frequency, from 0. mass : kg, and its relative standard deviation
     """
     model = _richer(model, np.vstack((best, draws)))
-    lam, fields = _modes(model, best)
+    lam, fields = _modes(model, best, sides)
     first = rigid_body_count(model.operator.problem.edges)
     listed = listed + first
     lam[:first] = 0.0
     k = int(listed.max()) + 1 + _FURTHER
 
-    others = [_modes(model, x, listed)[1] for x in draws]
+    others = [_modes(model, x, sides, listed)[1] for x in draws]
 
     def scatter(points: Array) -> Array:
-        squares = [np.sum(f(points)[:3] ** 2, axis=0) for f in others]
+        squares = [np.sum(f(points, 0.0)[:3] ** 2, axis=0) for f in others]
         return np.asarray(np.var(squares, axis=0))
 
     return LoadedPlate(lam[:k], listed, fields, lam, scatter, sides, *mass)
@@ -194,8 +230,8 @@ def _richer(model: PlateModel, samples: Array) -> PlateModel:
 
 
 def _modes(
-    model: PlateModel, x: Array, kept: Array | slice = slice(None)
-) -> tuple[Array, Callable[[Array], Array]]:
+    model: PlateModel, x: Array, sides: tuple[float, float], kept: Array | slice = slice(None)
+) -> tuple[Array, Callable[[Array, float], Array]]:
     """All eigenvalues of the space at a parameter vector, ascending, and fields of the modes to keep."""
     operator = model.operator
     stiffness, mass = model.coefficients(np.atleast_2d(x))
@@ -212,10 +248,14 @@ def _modes(
         at += len(lam)
     whole = whole[:, order][:, kept]
 
-    def fields(points: Array) -> Array:
+    def fields(points: Array, radius: float) -> Array:
+        disc, weights = (_DISC, _DISC_WEIGHTS) if radius else (np.zeros((1, 2)), np.ones(1))
+        # what would hang over an edge is on it
+        at = np.clip(points[:, None] + radius * disc / np.array(sides), 0.0, 1.0).reshape(-1, 2)
         out = np.zeros((len(FIELDS), len(points), whole.shape[1]))
         for sector, a, b in zip(operator.space.sectors, starts[:-1], starts[1:], strict=True):
-            out[FIELDS.index(sector.field)] += evaluate_sector(sector, points, "") @ whole[a:b]
+            each = evaluate_sector(sector, at, "").reshape(len(points), len(disc), -1)
+            out[FIELDS.index(sector.field)] += np.tensordot(each, weights, (1, 0)) @ whole[a:b]
         return out
 
     return values[order], fields
@@ -226,7 +266,7 @@ class Cells:
     """Rectangles of a plate with the shifts that a mass in their middle gives.
 
     centre : (p, 2) of 0 to 1; half : (p,) half their sides, of the plate's
-    shifts : (p, n_gyrations, n_masses, n)
+    shifts : (p, n_areal, n_masses, n)
     scatter : (p, n) as of `LoadedPlate`
     """
 
@@ -235,19 +275,20 @@ class Cells:
     shifts: Array
     scatter: Array
 
+    def chosen(self, at: Array) -> Cells:
+        """Those at some rows."""
+        return Cells(self.centre[at], self.half[at], self.shifts[at], self.scatter[at])
+
     def joined(self, other: Cells, keep: Array) -> Cells:
         """Those to keep (p,), and others."""
-        return Cells(
-            *(
-                np.concatenate((getattr(self, name)[keep], getattr(other, name)))
-                for name in ("centre", "half", "shifts", "scatter")
-            )
-        )
+        kept = self.chosen(keep)
+        pairs = ((getattr(kept, name), getattr(other, name)) for name in self.__slots__)
+        return Cells(*(np.concatenate(pair) for pair in pairs))
 
 
 def _cells(plate: LoadedPlate, centre: Array, half: Array) -> Cells:
     masses = plate.masses()
-    shifts = np.stack([plate.shifts(centre, masses, r) for r in _GYRATIONS], axis=1)
+    shifts = np.stack([plate.shifts(centre, masses, a) for a in _AREAL], axis=1)
     return Cells(centre, half, shifts, plate.scatter(centre))
 
 
@@ -259,20 +300,49 @@ def cells_of(plate: LoadedPlate) -> Cells:
     return _cells(plate, centre, np.full(len(centre), 0.5 / _CELLS))
 
 
-def _log_likelihood(d: Array, shift: Array, extra: Array, noise: tuple[Array, Array]) -> Array:
-    """Log likelihood of differences (n,) at shifts (..., n), further variances, over the noise, (...)."""
-    away = (d - shift) ** 2
-    each = []
-    for variance, log_prior in zip(*noise, strict=True):
-        total = variance + extra
-        each.append(log_prior - 0.5 * np.sum(away / total + np.log(2 * np.pi * total), axis=-1))
-    return np.asarray(logsumexp(each, axis=0))
+def _log_likelihoods(d: Array, shift: Array, extra: Array, variances: Array) -> Iterator[Array]:
+    """Log likelihood of differences (n,) at shifts (..., n), for each noise (k, n), (...).
+
+    extra : (..., n) further variances
+    """
+    away, extra = (np.ascontiguousarray(np.moveaxis(a, -1, 0)) for a in ((d - shift) ** 2, extra))
+    for variance in variances:
+        squares, product = np.zeros(shift.shape[:-1]), np.ones(shift.shape[:-1])
+        for of_mode, more, by_noise in zip(away, extra, variance, strict=True):
+            total = more + by_noise
+            squares += of_mode / total
+            with np.errstate(over="ignore"):  # then it is impossible
+                product *= total / by_noise
+        yield -0.5 * (squares + np.log(product) + np.sum(np.log(2.0 * np.pi * variance)))
+
+
+def _log_likelihood(d: Array, noise: tuple[Array, Array]) -> Array:
+    """Log likelihood of differences (n,) where no mass was added, for each noise, with its prior, (k,)."""
+    none = np.zeros_like(d)
+    return np.array(list(_log_likelihoods(d, none, none, noise[0]))) + noise[1]
+
+
+def _without(d: Array, noise: tuple[Array, Array]) -> Array:
+    """Log evidence of differences (n,) without a mass, for each noise, with its prior, (k,)."""
+    weight = 1.0 / noise[0]
+    return _log_likelihood(d, noise) + _or_factor(weight @ d, weight.sum(axis=1))
+
+
+def _or_factor(along: Array, total: Array) -> Array:
+    """By how much the log evidence of no change rises where all frequencies may have changed by one factor.
+
+    along, total : sums over the differences of d / variance and 1 / variance
+    """
+    of_factor = 0.5 * (
+        _FACTOR_SD**2 * along**2 / (1.0 + _FACTOR_SD**2 * total) - np.log1p(_FACTOR_SD**2 * total)
+    )
+    return np.asarray(np.logaddexp(np.log(1.0 - _FACTOR_CHANGED), np.log(_FACTOR_CHANGED) + of_factor))
 
 
 def _between(plate: LoadedPlate, cells: Cells, masses: Array) -> tuple[Array, Array]:
     """Shifts at masses (k,), linear between those that were computed, and their further variances.
 
-    (p, n_gyrations, k, n) each.
+    (p, n_areal, k, n) each.
     """
     nodes = plate.masses()
     right = np.clip(np.searchsorted(nodes, masses), 1, len(nodes) - 1)
@@ -282,12 +352,22 @@ def _between(plate: LoadedPlate, cells: Cells, masses: Array) -> tuple[Array, Ar
     return shift, (_FORM * shift) ** 2 + open_
 
 
-def _weighed(plate: LoadedPlate, cells: Cells, d: Array, noise: tuple[Array, Array], masses: Array) -> Array:
-    """Log of posterior times evidence, by cell, radius of gyration and mass (k,) of equal log steps."""
-    log_area = np.log(4.0 * cells.half**2)[:, None, None]
-    step = np.log(masses[1] / masses[0]) / np.log(_MOST / _LEAST)
+def _weighed(
+    plate: LoadedPlate, cells: Cells, d: Array, noise: tuple[Array, Array], masses: Array
+) -> tuple[Array, Array]:
+    """Log of posterior times evidence, by cell, mass over area and mass (k,), and by noise.
+
+    masses : of equal steps of their logarithms
+    """
+    step = np.log(masses[1] / masses[0]) / np.log(LARGEST / _LEAST)
+    log_prior = np.log(4.0 * cells.half**2 * step / len(_AREAL))[:, None, None]
     shift, extra = _between(plate, cells, masses)
-    return np.asarray(_log_likelihood(d, shift, extra, noise) + log_area + np.log(step / len(_GYRATIONS)))
+    log_weight, of_noise = np.array(-np.inf), []
+    for each, log_noise in zip(_log_likelihoods(d, shift, extra, noise[0]), noise[1], strict=True):
+        each += log_prior + log_noise
+        of_noise.append(logsumexp(each))
+        log_weight = np.logaddexp(log_weight, each)
+    return log_weight, np.array(of_noise)
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,18 +402,49 @@ class AddedMass:
 
 
 @single_blas_thread
-def find_mass(
-    plate: LoadedPlate, whole: Cells, d: Array, repeatability: Repeatability, rng: np.random.Generator
-) -> AddedMass:
-    """A mass from the differences d = ln f' - ln f (n,) of two lists of a plate.
+def find_masses(
+    plate: LoadedPlate,
+    whole: Cells,
+    lists: Sequence[tuple[Array, Repeatability]],
+    rng: np.random.Generator,
+) -> list[AddedMass]:
+    """The mass in each of several lists, from its differences d = ln f' - ln f (n,) of the first list.
+
+    A repeatability that no file states is one for all lists: what the others say of it is the prior of each.
 
     whole : as of `cells_of`
     """
-    noise = repeatability.variances()
-    none = float(_log_likelihood(d, np.zeros_like(d), np.zeros_like(d), noise))
-    cells, low, high = whole, _LEAST * plate.mass, _MOST * plate.mass
+    noises = [repeatability.variances() for _, repeatability in lists]
+    refined = [_refined(plate, whole, d, noise) for (d, _), noise in zip(lists, noises, strict=True)]
+    inferred = [i for i, (_, repeatability) in enumerate(lists) if repeatability.relative is None]
+    said = {}
+    for i in inferred:
+        d, level = lists[i][0], (noises[i][0], np.zeros(len(noises[i][0])))
+        _, _, of_mass = _masses(plate, refined[i], d, level)
+        said[i] = np.logaddexp(_without(d, level), of_mass)
+    found = []
+    for i, (d, repeatability) in enumerate(lists):
+        variance, log_prior = noises[i]
+        if i in said:
+            others = [said[j] for j in inferred if j != i]
+            log_prior = log_prior + np.sum(others, axis=0) / _common(len(others))
+            log_prior -= logsumexp(log_prior)
+            likely = said[i] + log_prior > np.max(said[i] + log_prior) - _UNLIKELY
+            variance, log_prior = variance[likely], log_prior[likely]
+        is_stated = repeatability.relative is not None
+        found.append(_found(plate, whole, refined[i], d, (variance, log_prior), is_stated, rng))
+    return found
+
+
+def _refined(plate: LoadedPlate, whole: Cells, d: Array, noise: tuple[Array, Array]) -> Cells:
+    """Cells in which a mass may be, small where it is likely."""
+    masses = np.geomspace(_LEAST * plate.mass, LARGEST * plate.mass, 60)
+
+    def weighed(cells: Cells) -> Array:
+        return np.asarray(logsumexp(_weighed(plate, cells, d, noise, masses)[0], axis=(1, 2)))
+
+    cells, log_weight = whole, weighed(whole)
     for _ in range(_LEVELS):
-        log_weight = logsumexp(_weighed(plate, cells, d, noise, np.geomspace(low, high, 60)), axis=(1, 2))
         density = log_weight - 2.0 * np.log(cells.half)
         order = np.argsort(-density)[:_DIVIDED]
         likely = density[order] > density.max() - _UNLIKELY
@@ -345,42 +456,70 @@ def find_mass(
         quarter = 0.5 * cells.half[chosen]
         corners = np.array([(-1, -1), (-1, 1), (1, -1), (1, 1)])
         centre = (cells.centre[chosen][:, None] + quarter[:, None, None] * corners).reshape(-1, 2)
+        divided = _cells(plate, centre, np.repeat(quarter, 4))
         keep = np.ones(len(cells.half), dtype=bool)
         keep[chosen] = False
-        cells = cells.joined(_cells(plate, centre, np.repeat(quarter, 4)), keep)
+        cells = cells.joined(divided, keep)
+        log_weight = np.concatenate((log_weight[keep], weighed(divided)))
+    return cells.chosen(log_weight > log_weight.max() + np.log(_LOST))
+
+
+def _masses(
+    plate: LoadedPlate, cells: Cells, d: Array, noise: tuple[Array, Array]
+) -> tuple[Array, Array, Array]:
+    """The masses (k,) that carry the posterior, and `_weighed` at them."""
+    low, high = _LEAST * plate.mass, LARGEST * plate.mass
     while True:
         masses = np.geomspace(low, high, _FINE)
-        log_weight = _weighed(plate, cells, d, noise, masses)
+        log_weight, of_noise = _weighed(plate, cells, d, noise, masses)
         of_mass = logsumexp(log_weight, axis=(0, 1))
         share = np.exp(of_mass - logsumexp(of_mass))
         carrying = np.flatnonzero(share > _LOST)
         first, last = max(carrying[0] - 1, 0), min(carrying[-1] + 1, _FINE - 1)
         if last - first > _FINE // 3:
-            break
+            return masses, log_weight, of_noise
         low, high = masses[first], masses[last]
+
+
+def _found(
+    plate: LoadedPlate,
+    whole: Cells,
+    cells: Cells,
+    d: Array,
+    noise: tuple[Array, Array],
+    is_stated: bool,
+    rng: np.random.Generator,
+) -> AddedMass:
+    none = float(logsumexp(_without(d, noise)))
+    masses, log_weight, _ = _masses(plate, cells, d, noise)
     evidence = float(logsumexp(log_weight))
     probability = float(1.0 / (1.0 + np.exp(np.clip(none - evidence, -700, 700))))
-    best = np.unravel_index(int(np.argmax(log_weight)), log_weight.shape)
-    shift, extra = (v[0, best[1], 0] for v in _between(plate, _one(cells, best[0]), masses[best[2]][None]))
+    # by noise alone
+    of_noise = float(np.exp(logsumexp(_log_likelihood(d, noise)) - none)) * (1.0 - _FACTOR_CHANGED)
+    of_noise *= 1.0 - probability
+    best = np.array(np.unravel_index(int(np.argmax(log_weight)), log_weight.shape))
+    shift, extra = (v[0, best[1], 0] for v in _between(plate, cells.chosen(best[:1]), masses[best[2]][None]))
     of_level = [
         lp - 0.5 * np.sum((d - shift) ** 2 / (v + extra) + np.log(v + extra))
         for v, lp in zip(*noise, strict=True)
     ]
     variance = noise[0][int(np.argmax(of_level))]
     p_value = 1.0
-    if repeatability.relative is not None:
+    if is_stated:
         left = min(np.sum((d - shift) ** 2 / (variance + extra)), np.sum(d**2 / variance))
         p_value = float(chi2.sf(left, len(d)))
     draws = _drawn(plate, cells, log_weight, masses, rng)
     place, radius, images = _place(plate, whole, draws, cells.centre[best[0]])
-    finding = Finding.OPEN
+    mass, finding = draws[:, 0], Finding.OPEN
     if p_value < _UNEXPLAINED:
         finding = Finding.OTHER
     elif probability >= CLAIMED:
-        finding = Finding.ADDED
-    elif probability <= 0.5:
+        is_heavier = np.mean(mass > _END * LARGEST * plate.mass) > _BEYOND
+        finding = Finding.OTHER if is_heavier else Finding.ADDED
+    elif of_noise >= 0.5:
         finding = Finding.NOTHING
-    mass = draws[:, 0]
+    elif 1.0 - probability - of_noise >= _FACTOR_SAID:
+        finding = Finding.OTHER
     return AddedMass(
         finding,
         probability,
@@ -397,14 +536,10 @@ def find_mass(
     )
 
 
-def _one(cells: Cells, at: Any) -> Cells:
-    return Cells(*(getattr(cells, n)[at][None] for n in ("centre", "half", "shifts", "scatter")))
-
-
 def _drawn(
     plate: LoadedPlate, cells: Cells, log_weight: Array, masses: Array, rng: np.random.Generator
 ) -> Array:
-    """Draws of mass and place, SI, (n, 3): a cell, a radius of gyration and a mass, anywhere in the cell."""
+    """Draws of mass and place, SI, (n, 3): a cell, a mass over area and a mass, anywhere in the cell."""
     weight = np.exp(log_weight - log_weight.max()).ravel()
     chosen = rng.choice(len(weight), _DRAWS, p=weight / weight.sum())
     cell, _, at = np.unravel_index(chosen, log_weight.shape)
@@ -469,10 +604,38 @@ def predicted_shifts(
     noise, rounding : (n,) relative, of one list
     """
     point = np.array([place]) / plate.sides
-    each = np.array([plate.shifts(point, np.array([mass]), r)[0, 0] for r in _GYRATIONS])
+    each = np.array([plate.shifts(point, np.array([mass]), a)[0, 0] for a in _AREAL])
     shift = each.mean(axis=0)
     variance = 2.0 * (noise**2 + rounding**2) + each.var(axis=0) + (0.5 * mass) ** 2 * plate.scatter(point)[0]
     return shift, np.sqrt(variance + (_FORM**2 + plate.mass_sd**2) * shift**2)
+
+
+def spread_of_shifts(left: Array, shifts: Array, rounding: Array) -> tuple[tuple[float, float], float]:
+    """Repeatability of a list and error of a shift that known masses show.
+
+    left : (l, n), measured less predicted ln f' - ln f of lists that share a first one, of variance
+        2 (s^2 + rounding^2) + (k shift)^2
+    shifts : (l, n) predicted; rounding : (n,) relative, of one list
+
+    Returns the 95 % interval of s, even in its logarithm, and what k is below with 95 %, even up to one half.
+    """
+    s, k = np.geomspace(NOISE_PRIOR.lower, 0.05, 120), np.linspace(0.0, 0.5, 101)
+    log_likelihood = np.zeros((len(s), len(k)))
+    for r, shift, fixed in zip(left.ravel(), shifts.ravel(), np.tile(rounding, len(left)), strict=True):
+        variance = 2.0 * (s[:, None] ** 2 + fixed**2) + (k * shift) ** 2
+        log_likelihood -= 0.5 * (r**2 / variance + np.log(variance))
+    weight = np.exp((log_likelihood - log_likelihood.max()) / _common(len(left)))
+    of_s, of_k = (np.cumsum(weight.sum(axis)) / weight.sum() for axis in (1, 0))
+    low, high = np.interp((_TAIL, 1.0 - _TAIL), of_s, s)
+    return (float(low), float(high)), float(np.interp(1.0 - 2 * _TAIL, of_k, k))
+
+
+def _common(n_lists: int) -> float:
+    """Variance of the slope of a log likelihood of differences, over that of independent lists.
+
+    Differences of one first list are correlated by a half.
+    """
+    return 1.0 + max(n_lists - 1, 0) / 4.0
 
 
 @single_blas_thread
@@ -485,8 +648,8 @@ def detection_limit(
     instance; the repeatability is taken for known.
     """
     sd = np.sqrt(2.0 * (noise**2 + rounding**2))
-    grid = np.geomspace(_LEAST, _MOST, 40) * plate.mass
-    shift, _ = _between(plate, _middle_gyration(whole), grid)
+    grid = np.geomspace(_LEAST, LARGEST, 40) * plate.mass
+    shift, _ = _between(plate, _middle_areal(whole), grid)
     white = (shift[:, 0] / sd).reshape(-1, len(sd))
     half = 0.5 * np.sum(white**2, axis=1)
     scatter = rng.standard_normal((_LISTS, len(sd)))
@@ -495,12 +658,16 @@ def detection_limit(
     odds = np.log(CLAIMED / (1.0 - CLAIMED))
 
     def claimed(mass: float) -> bool:
-        shifts, _ = _between(plate, _middle_gyration(whole), np.array([mass]))
+        shifts, _ = _between(plate, _middle_areal(whole), np.array([mass]))
         d = shifts[where, 0, 0] / sd + scatter
-        log_bayes = logsumexp(white @ d.T - half[:, None], axis=0) - np.log(len(half))
+        log_bayes = (
+            logsumexp(white @ d.T - half[:, None], axis=0)
+            - np.log(len(half))
+            - _or_factor(d @ (1.0 / sd), np.array(np.sum(sd**-2.0)))
+        )
         return bool(np.mean(log_bayes >= odds) >= 1.0 - 2 * _TAIL)
 
-    low, high = _LEAST * plate.mass, _MOST * plate.mass
+    low, high = _LEAST * plate.mass, LARGEST * plate.mass
     if not claimed(high):
         return None
     for _ in range(_STEPS):
@@ -509,5 +676,5 @@ def detection_limit(
     return high
 
 
-def _middle_gyration(cells: Cells) -> Cells:
+def _middle_areal(cells: Cells) -> Cells:
     return Cells(cells.centre, cells.half, cells.shifts[:, 1:2], cells.scatter)

@@ -1,27 +1,37 @@
-"""The density of a complete list with noise, tolerances and theory's error, and the constants that it leaves.
+"""The density of complete lists with noise, tolerances and theory's error, and the constants that it leaves.
 
     y = f(c) (1 + J t + d) + e
 
 with e the noise, t the errors of sizes, mass and frequency scale, d the scatter of solver and theory: all
-Gaussian, in one covariance matrix. Moments of the constants are by importance sampling about all optima.
+Gaussian, in one covariance matrix. Several lists of one material share the constants. Moments of these are by
+importance sampling about all optima.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from cpam_bayes.forward_model.composed import ComposedModel, Part
-from cpam_bayes.forward_model.known_errors import Array, known_errors, powers, theory_error
+from cpam_bayes.forward_model.known_errors import Array, common_covariance, common_errors, theory_error
 from cpam_bayes.forward_model.labels import LabelledModel, list_order
 from cpam_bayes.forward_model.preconditions import birge_ratio
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.inference.derivatives import NormalScores
 from cpam_bayes.inference.log_density import Listed, LogDensity
 from cpam_bayes.inference.posterior import NOISE, NOISE_PRIOR
-from cpam_bayes.inference.proposal import Rounds, about, adaptive_importance, maximised, refitted_moments
-from cpam_bayes.parameters import Parameter, ParameterSet
+from cpam_bayes.inference.proposal import (
+    Optima,
+    Rounds,
+    about,
+    adaptive_importance,
+    maximised,
+    refitted_moments,
+)
+from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
 from cpam_bayes.plate import Material, Measurement, Specimen
 
 Model = ReducedModel | LabelledModel
@@ -35,27 +45,13 @@ _ROUNDS = Rounds(log2_points=8, most=10, least=3, enough=600.0)
 _STEPS, _PROMISED = 40, 1e-9
 
 
-def common_covariance(specimen: Specimen, model: Model, x: Array) -> Array:
-    """Relative covariance of the frequencies by errors that they have in common, (n_f, n_f).
+def scatter(specimen: Specimen, model: Model, x: Array, error: Array | None = None) -> Array:
+    """Relative standard deviation of the mode at each place by solver and first-order theory, (n_modes,).
 
-    Of the sizes, the mass and the frequency scale as they are known, to first order at constants x (n,).
+    error : (n_modes,) of the solver at x, in ascending order of the modes; that of the model if left out
     """
-    measurement, full = specimen.measurement, model.full
-    assert measurement is not None
-    order = list_order(model, x)[: measurement.size]
-    known = known_errors(specimen)
-    found = powers(specimen, full, dict(zip(full.parameters.names, x.tolist(), strict=True)), order)
-    assert found is not None
-    j = np.stack([sd * found.of_sizes[name] for name, sd in known.items()])
-    return np.asarray(j.T @ j)
-
-
-def scatter(specimen: Specimen, model: Model, x: Array) -> Array:
-    """Relative standard deviation of each frequency by solver and first-order theory, (n_f,)."""
-    measurement, full = specimen.measurement, model.full
-    assert measurement is not None
-    order = list_order(model, x)[: measurement.size]
-    by_solver = np.hypot(full.error, model.tolerance)[order]
+    full, order = model.full, list_order(model, x)
+    by_solver = np.hypot(full.error if error is None else error, model.tolerance)[order]
     if not isinstance(specimen.material, Material):
         return np.asarray(by_solver)
     return np.hypot(by_solver, theory_error(specimen, full.predict(x[None]).frequencies[0, order]))
@@ -71,7 +67,7 @@ def residual_sd(specimen: Specimen, model: Model, x: Array) -> Array:
     """Standard deviation of each frequency where sizes are as stated, at constants x (n,), (n_f,) Hz."""
     measurement = specimen.measurement
     assert measurement is not None
-    by_model = (measurement.frequencies * scatter(specimen, model, x)) ** 2
+    by_model = (measurement.frequencies * scatter(specimen, model, x)[: measurement.size]) ** 2
     return np.asarray(np.sqrt(noise_variance(measurement, _USUAL_NOISE) + by_model))
 
 
@@ -103,25 +99,34 @@ class Draws:
         cumulative = np.cumsum(self.weight[order]) - 0.5 * self.weight[order]
         return np.asarray(np.interp(at, cumulative, self.x[order, column]))
 
+    def even(self, n: int) -> Array:
+        """So many of them of equal weight, by systematic resampling, (n, n_constants)."""
+        at = np.searchsorted(np.cumsum(self.weight), (np.arange(n) + 0.5) / n)
+        return np.asarray(self.x[np.minimum(at, len(self.x) - 1)])
+
     def beyond(self, column: int, low: float, high: float) -> tuple[float, float]:
         """Probability of a constant below the one and above the other."""
         x = self.x[:, column]
         return float(self.weight[x < low].sum()), float(self.weight[x > high].sum())
 
 
-def sampled(density: LogDensity, starts: Array, noise: float) -> Draws:
-    """Draws about all optima that carry weight, next to constants (m, n).
+def optima_about(density: LogDensity, starts: Array, noise: float) -> Optima:
+    """All optima that derivatives reach from constants (m, n), the first of the parameters.
 
     noise : where an inferred noise begins, relative
     """
-    n = density.model.parameters.size
-    if density.noise is not None:
-        prior = density.parameters.parameters[density.noise].prior
-        level = np.clip(noise, 2.0 * prior.lower, 0.5 * prior.upper)
-        starts = np.column_stack((starts, np.full(len(starts), level)))
-    z = np.vstack((density.scores.to_z(starts), np.zeros(density.parameters.size)))
+    x = density.scores.to_x(np.zeros((len(starts), density.parameters.size)))
+    x[:, : starts.shape[1]] = starts
+    for column in density.nuisance:
+        prior = density.parameters.parameters[column].prior
+        x[:, column] = np.clip(noise, 2.0 * prior.lower, 0.5 * prior.upper)
+    z = np.vstack((density.scores.to_z(x), np.zeros(density.parameters.size)))
     # off the ends of a prior, where its density over scores is flat
-    optima = maximised(density, np.clip(z, -3.0, 3.0), _STEPS, _PROMISED, _MOST)
+    return maximised(density, np.clip(z, -3.0, 3.0), _STEPS, _PROMISED, _MOST)
+
+
+def sampled(density: LogDensity, optima: Optima, n: int) -> Draws:
+    """Draws of the first n parameters, the constants, about all optima that carry weight."""
     _, proposal = about(optima.z, optima.factor, optima.log_mass)
     found = adaptive_importance(
         lambda z: density.log_density(z[0])[None], density.expand, proposal, refitted_moments, _ROUNDS
@@ -130,35 +135,80 @@ def sampled(density: LogDensity, starts: Array, noise: float) -> Draws:
     return Draws(x, found.weight[0], float(found.effective_size[0]))
 
 
-def list_density(specimen: Specimen, model: Model, best: Array) -> tuple[LogDensity, float]:
-    """The density of the list of a specimen, and the factor by which the stated noise is widened in it.
+def lists_density(
+    lists: Sequence[tuple[Specimen, Model]], at: Array, scatter_sd: float
+) -> tuple[LogDensity, Array]:
+    """The density of lists of one material, and the factors by which their stated noise is widened, (l,).
 
-    best : (n,) constants of the best optimum, where the covariance is taken. A misfit there that the stated
-    noise does not explain widens it, by Birge's ratio.
+    Constants are shared; each of several specimens deviates from them. Errors of sizes and mass belong to a
+    specimen and are common to its tests; the frequency scale, of one analyser, is common to all lists.
+
+    at : (l, n) constants of each list, where its covariance is taken. A misfit there that the stated noise
+        does not explain widens it, by Birge's ratio.
+    scatter_sd : relative standard deviation of a constant from specimen to specimen
     """
-    measurement = specimen.measurement
-    assert measurement is not None
-    f = measurement.frequencies
-    n_f, n = len(f), len(best)
-    is_stated = measurement.relative_std is not None or measurement.frequency_sd is not None
-    common = np.outer(f, f) * common_covariance(specimen, model, best)
-    by_model, noise = (f * scatter(specimen, model, best)) ** 2, noise_variance(measurement, 0.0)
-    excess, parameters = 1.0, specimen.unknowns
-    if is_stated:
-        left = f - model.predict(best[None]).frequencies[0, :n_f]
-        covariance = common + np.diag(by_model + noise)
-        white = np.linalg.solve(np.linalg.cholesky(covariance), left)
-        excess = birge_ratio(np.asarray(white, dtype=np.float64), n)
-    else:
-        parameters = parameters.union(ParameterSet((Parameter(NOISE, "", NOISE_PRIOR),)))
-    part = Part(model, np.arange(n), np.full(n, -1), (), np.arange(n_f))
-    listed = Listed(f, by_model + excess**2 * noise, np.zeros(n_f) if is_stated else f, common=common)
-    density = LogDensity(
-        ComposedModel(specimen.unknowns, (part,)),
-        listed,
-        parameters,
-        NormalScores(parameters),
-        amplitudes=(-1 if is_stated else n,),
-        discrepancy=None,
+    unknowns, n = lists[0][0].unknowns, at.shape[1]
+    specimens = [specimen.specimen for specimen, _ in lists]
+    measurements = [s.measurement for s, _ in lists if s.measurement is not None]
+    size_of = {
+        name: sum(m.size for s, m in zip(specimens, measurements, strict=True) if s == name)
+        for name in specimens
+    }
+    parameters, column_of = list(unknowns.parameters), dict[str, Array]()
+    several = len(size_of) > 1
+    for name in size_of:
+        column_of[name] = len(parameters) + np.arange(n) if several else np.full(n, -1)
+        if several:
+            parameters += [deviation(p, name, scatter_sd) for p in unknowns.parameters]
+    composed = ParameterSet(tuple(parameters), unknowns.fixed)
+    parts, variance, scale, amplitudes, predicted = [], [], [], [], []
+    excess = np.ones(len(lists))
+    errors: list[tuple[str, int, dict[str, Array]]] = []
+    for i, ((specimen, model), m, x) in enumerate(zip(lists, measurements, at, strict=True)):
+        constants = dict(zip(model.full.parameters.names, x.tolist(), strict=True))
+        own = common_errors(specimen, model.full, constants, list_order(model, x)[: m.size])
+        errors.append((specimen.specimen, m.size, own))
+        f, is_stated = m.frequencies, m.relative_std is not None or m.frequency_sd is not None
+        by_model, noise = (f * scatter(specimen, model, x)[: m.size]) ** 2, noise_variance(m, 0.0)
+        # an error of a size changes what is predicted: in the pattern of the list it would feed on residuals
+        predicted.append(model.predict(x[None]).frequencies[0, : m.size])
+        if is_stated:
+            j = predicted[-1] * np.stack(list(own.values()))
+            left = f - predicted[-1]
+            white = np.linalg.solve(np.linalg.cholesky(j.T @ j + np.diag(by_model + noise)), left)
+            # tests of a specimen share its constants: each fits a part of them
+            fitted = math.ceil(n * m.size / size_of[specimen.specimen])
+            excess[i] = birge_ratio(np.asarray(white, dtype=np.float64), fitted)
+        else:
+            parameters.append(_noise_of([s.name for s, _ in lists], i))
+        amplitudes.append(-1 if is_stated else len(parameters) - 1)
+        variance.append(by_model + excess[i] ** 2 * noise)
+        scale.append(np.zeros(m.size) if is_stated else f)
+        parts.append(Part(model, np.arange(n), column_of[specimen.specimen], (), np.arange(m.size)))
+    changed = np.concatenate(predicted)
+    listed = Listed(
+        np.concatenate([m.frequencies for m in measurements]),
+        np.concatenate(variance),
+        np.concatenate(scale),
+        lists=np.repeat(np.arange(len(lists)), [m.size for m in measurements]),
+        common=np.outer(changed, changed) * common_covariance(errors),
     )
-    return density, excess
+    every = ParameterSet(tuple(parameters), unknowns.fixed)
+    together = ComposedModel(composed, tuple(parts))
+    return LogDensity(
+        together, listed, every, NormalScores(every), tuple(amplitudes), discrepancy=None
+    ), excess
+
+
+def deviation(parameter: Parameter, specimen: str, sd: float) -> Parameter:
+    """The relative deviation of a specimen's constant from that of the material."""
+    prior = TruncatedNormal(0.0, sd, -4.0 * sd, 4.0 * sd)
+    name = f"scatter of {parameter.name}, {specimen}"
+    return Parameter(name, "", prior, kind="scatter", base=parameter.name, of=specimen)
+
+
+def _noise_of(names: Sequence[str], i: int) -> Parameter:
+    """The repeatability of one list, with its name among several."""
+    if len(names) == 1:
+        return Parameter(NOISE, "", NOISE_PRIOR)
+    return Parameter(f"{NOISE} of {names[i]}", "", NOISE_PRIOR, base=NOISE, of=names[i])

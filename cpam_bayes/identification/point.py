@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, t
 
 from cpam_bayes.answer import Constant, Notice, Reliance, Verdict, as_written
-from cpam_bayes.forward_model.known_errors import ScaleError, sandwich_notices, scale_errors, sizes_spread
+from cpam_bayes.forward_model.known_errors import ScaleError, absorbed, sandwich_notices, sizes_spread
 from cpam_bayes.forward_model.labels import (
     LabelledModel,
     ShapePairing,
@@ -35,14 +35,17 @@ from cpam_bayes.forward_model.preconditions import (
     units_notices,
 )
 from cpam_bayes.forward_model.reduced import ReducedModel, basis_error
-from cpam_bayes.identification.density import Draws, list_density, sampled
+from cpam_bayes.identification.density import Draws, lists_density, optima_about, sampled
 from cpam_bayes.identification.search import Optimum, Residual, Search, required, search
 from cpam_bayes.inference.assessment import cut_notices, limiting_constraints
 from cpam_bayes.inference.completeness import TranscriptionError
 from cpam_bayes.inference.ensemble import EnsembleResult
+from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.inference.posterior import Posterior
+from cpam_bayes.inference.proposal import Optima
 from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings
 from cpam_bayes.mechanics.modes import Mode
+from cpam_bayes.parameters import ParameterSet, Uniform
 from cpam_bayes.plate import Measurement, Specimen
 from cpam_bayes.plate.laminate import flexural_constants
 from cpam_bayes.running import single_blas_thread
@@ -139,7 +142,8 @@ class PointEstimate:
     constants : SI, in the order of the unknowns: of whitened residuals moments and quantiles of the posterior
         over all optima; else the sd is linearised and contains those of [plate.sd], and the interval reaches
         over all optima that the noise leaves open
-    predicted : one mode for each measured frequency
+    predicted : one mode for each measured frequency; of whitened residuals with the most probable errors of
+        sizes and mass
     shapes : (n_modes, 3, n, n) of these, u, v and w on a regular grid
     rms : root mean square of the relative residuals
     noise : relative standard deviation used for the linearised ones, the file's or, where that is left out,
@@ -153,6 +157,8 @@ class PointEstimate:
     optima : the best one and those that the noise does not tell from it
     scale_errors : what errors of sizes, mass and frequency scale do to the constants
     reliances : intervals that rest on the bounds or the prior of another constant
+    alone : the constants from the frequencies and bounds alone, where they have another prior
+    draws : of whitened residuals, of the posterior that the constants are from
     by_shape : what measured shapes say of the modes, None without them
     """
 
@@ -173,8 +179,10 @@ class PointEstimate:
     optima: tuple[Optimum, ...]
     scale_errors: tuple[ScaleError, ...]
     reliances: tuple[Reliance, ...]
+    alone: tuple[Constant, ...]
     seconds: float
     notices: tuple[Notice, ...]
+    draws: Draws | None = None
     by_shape: ShapePairing | None = None
 
 
@@ -219,45 +227,45 @@ def summarise(
     """Summary of the best optimum of a search for an engineer."""
     measurement, unknowns = required(specimen)
     model, swarm = searched.model, searched.swarm
-    best, reduced = swarm.best, model.reduced if isinstance(model, LabelledModel) else model
+    reduced = model.reduced if isinstance(model, LabelledModel) else model
+    posterior = _about_optima(specimen, searched) if residual == "whitened" else None
+    best = swarm.best if posterior is None else posterior.optima[0].x
     error = searched.error + basis_error(reduced, best)[0]
     prediction = model.full.predict(best, jacobian=True)
     order = list_order(model, best)[: measurement.size]
     modes = model.full.modes(best)
     predicted = prediction.frequencies[0, order]
+    if posterior is not None:
+        predicted = predicted + posterior.by_sizes
     relative = predicted / measurement.frequencies - 1.0
     rms = float(np.sqrt(np.mean(relative**2)))
     noise, inferred = _noise(measurement, relative, unknowns.size)
     assert prediction.jacobian is not None
     prior_sd = np.array([unknowns[name].prior.sd for name in unknowns.names])
-    # a misfit that the stated noise does not explain widens it, Birge's ratio
-    excess = misfit_over_noise(measurement, relative, unknowns.size)
-    draws: Draws | None = None
-    if residual == "whitened":
-        density, excess = list_density(specimen, model, best)
-        draws = sampled(density, np.array([optimum.x for optimum in searched.optima]), noise)
-        covariance = draws.covariance
+    if posterior is not None:
+        excess, covariance, optima = posterior.excess, posterior.draws.covariance, posterior.optima
     else:
+        # a misfit that the stated noise does not explain widens it, Birge's ratio
+        excess = misfit_over_noise(measurement, relative, unknowns.size)
         jacobian = prediction.jacobian[0, order]
         covariance = linearised_covariance(jacobian, prior_sd, measurement, noise, residual, excess)
-    optima = _within_noise(searched, measurement, noise, residual)
+        optima = _within_noise(searched, measurement, noise, residual)
     at_optima = np.array([optimum.x for optimum in optima])
-    scales = scale_errors(
+    scales = absorbed(
         specimen,
         model.full,
         dict(zip(unknowns.names, best.tolist(), strict=True)),
         order,
         dict(zip(unknowns.names, prior_sd.tolist(), strict=True)),
-        usual=residual == "whitened",
-    )
+    ).errors(usual=residual == "whitened")
     explained = excess == 1.0
     freedom = measurement.size - unknowns.size if inferred or not explained else np.inf
     sd = np.sqrt(np.diag(covariance))
-    if draws is None:
+    if posterior is None:
         sd = _with_sizes(scales, unknowns.names, best, sd)
     relied_on = reliances(unknowns.names, covariance, prior_sd, sd)
-    if draws is not None:
-        estimates = _sampled_constants(specimen, draws, relied_on, explained=explained)
+    if posterior is not None:
+        estimates = sampled_constants(specimen, posterior.draws, relied_on, explained=explained)
     else:
         estimates = tuple(
             _constant(
@@ -276,7 +284,7 @@ def summarise(
     return PointEstimate(
         specimen=specimen,
         constants=estimates,
-        predicted=tuple(modes[j] for j in order),
+        predicted=tuple(replace(modes[j], frequency=float(f)) for j, f in zip(order, predicted, strict=True)),
         shapes=model.full.shapes(best)[order],
         rms=rms,
         noise=noise,
@@ -291,9 +299,67 @@ def summarise(
         optima=optima,
         scale_errors=scales,
         reliances=relied_on,
+        alone=() if posterior is None else posterior.alone,
         seconds=time.perf_counter() - start,
         notices=_notices(specimen, predicted),
+        draws=None if posterior is None else posterior.draws,
         by_shape=by_shape(model),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Sampled:
+    """The posterior about the optima of a search.
+
+    excess : factor by which the stated noise is widened
+    optima : of the density, the best one first, that the noise does not tell apart
+    by_sizes : (n_f,) Hz, what the most probable errors of sizes and mass change there
+    alone : as of `PointEstimate`
+    """
+
+    excess: float
+    draws: Draws
+    optima: tuple[Optimum, ...]
+    by_sizes: Array
+    alone: tuple[Constant, ...]
+
+
+def _about_optima(specimen: Specimen, searched: Search) -> _Sampled:
+    """The posterior of a specimen about the optima of its misfit, and the optima of its density."""
+    measurement, unknowns = required(specimen)
+    model, at, n = searched.model, searched.optima[0].x, unknowns.size
+    predicted = model.full.predict(at).frequencies[0, list_order(model, at)[: measurement.size]]
+    noise, _ = _noise(measurement, predicted / measurement.frequencies - 1.0, n)
+    starts = np.array([optimum.x for optimum in searched.optima])
+    found: list[tuple[Draws, float]] = []
+    listed: tuple[Optimum, ...] = ()
+    by_sizes = np.zeros(measurement.size)
+    bounds = tuple(replace(p, prior=Uniform(p.prior.lower, p.prior.upper)) for p in unknowns.parameters)
+    alone = replace(specimen, unknowns=ParameterSet(bounds, unknowns.fixed))
+    for of in (specimen, alone) if any(not p.prior.is_range for p in unknowns.parameters) else (specimen,):
+        density, widened = lists_density([(of, model)], at[None], 0.0)
+        optima = optima_about(density, starts, noise)
+        found.append((sampled(density, optima, n), float(widened[0])))
+        if not listed:
+            listed, by_sizes = _optima(density, optima, searched.optima), density.common_part(optima.z[:1])[0]
+    explained = found[0][1] == 1.0
+    each = [sampled_constants(alone, draws, (), explained=explained) for draws, _ in found[1:]]
+    return _Sampled(found[0][1], found[0][0], listed, by_sizes, each[0] if each else ())
+
+
+def _optima(density: LogDensity, optima: Optima, searched: Sequence[Optimum]) -> tuple[Optimum, ...]:
+    """Optima of a density that its best one does not exclude, 95 % of chi-squared; swarms as of the nearest.
+
+    searched : optima of the misfit, which the derivatives began from
+    """
+    x, n = density.scores.to_x(optima.z), len(searched[0].x)
+    misfits = density.misfit(x, density.predict(x)[0])
+    began = np.array([optimum.x for optimum in searched])
+    kept = 2.0 * (optima.value[0] - optima.value) <= chi2.ppf(_WITHIN, n)
+    scale = np.std(began, axis=0) + np.abs(began[0])
+    nearest = [int(np.argmin(np.sum(((began - at) / scale) ** 2, axis=1))) for at in x[:, :n]]
+    return tuple(
+        Optimum(x[i, :n], float(misfits[i]), searched[nearest[i]].swarms) for i in np.flatnonzero(kept)
     )
 
 
@@ -308,9 +374,7 @@ def _within_noise(
     if not np.isfinite(noise):
         return (first,)
     f, sd = measurement.frequencies, measurement.noise_sd(noise)
-    variance = (
-        1.0 if residual == "whitened" else float(np.mean((sd / f if residual == "relative" else sd) ** 2))
-    )
+    variance = float(np.mean((sd / f if residual == "relative" else sd) ** 2))
     most = first.value + chi2.ppf(_WITHIN, len(first.x)) * variance
     return (first, *(o for o in others if o.value <= most))
 
@@ -417,14 +481,15 @@ def _constant(
 _TOUCH, _AT_BOUND = 0.01, 0.05
 
 
-def _sampled_constants(
+def sampled_constants(
     specimen: Specimen, draws: Draws, relied_on: tuple[Reliance, ...], *, explained: bool
 ) -> tuple[Constant, ...]:
     """The constants by their posterior; explained : whether the noise explains the misfit."""
     reference, found = specimen.material.complete(), []
     each = zip(specimen.unknowns.names, draws.mean.tolist(), np.diag(draws.covariance), strict=True)
     for i, (name, mean, variance) in enumerate(each):
-        prior = specimen.unknowns[name].prior
+        unknown = specimen.unknowns[name]
+        prior = unknown.prior
         touch = _TOUCH * (prior.upper - prior.lower)
         below, above = draws.beyond(i, prior.lower + touch, prior.upper - touch)
         bound: Literal["lower", "upper"] | None = None
@@ -440,7 +505,9 @@ def _sampled_constants(
                 interval=(low, high),
                 prior=prior,
                 reference=float(reference[name]),
-                verdict=verdict_of(sd, prior.sd, explained=explained, at_bound=bound is not None),
+                verdict=verdict_of(
+                    sd, unknown.unmeasured_sd, explained=explained, at_bound=bound is not None
+                ),
                 bound=bound,
                 rests_on=tuple(r.on for r in relied_on if r.name == name),
             )
@@ -518,7 +585,7 @@ def _poor_fit(result: PointEstimate) -> Iterator[Notice]:
 
 def _on_constraints(result: PointEstimate) -> Iterator[Notice]:
     specimen = result.specimen
-    best = np.array([c.value for c in result.constants])
+    best = result.swarm.best
     for constraint in limiting_constraints(specimen.material, specimen.unknowns, best):
         yield Notice("optimum_on_constraint", facts={"constraint": constraint})
 

@@ -18,17 +18,19 @@ from numpy.typing import NDArray
 
 from cpam_bayes.errors import checked
 from cpam_bayes.forward_model.build import Neighbour, basis_tolerance, reduced_model
-from cpam_bayes.forward_model.labels import LabelledModel, labelled_model, spare_modes
+from cpam_bayes.forward_model.known_errors import tolerant
+from cpam_bayes.forward_model.labels import LabelledModel, labelled_model, list_order, spare_modes
 from cpam_bayes.forward_model.model import (
     PlateModel,
     Prediction,
     discretisation_error,
     reference_vector,
     size_parameters,
+    with_references,
 )
 from cpam_bayes.forward_model.preconditions import explained_failures, require_choice, require_supported
 from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings
-from cpam_bayes.identification.density import residual_sd
+from cpam_bayes.identification.density import residual_sd, scatter
 from cpam_bayes.inference.derivatives import Expansion
 from cpam_bayes.inference.laplace import maximise, polish
 from cpam_bayes.inference.posterior import Likelihood, Posterior, plate_posterior
@@ -470,7 +472,7 @@ def posterior(
     degrees_of_freedom: float = np.inf,
     near: Neighbour | None = None,
 ) -> Posterior:
-    """The posterior of the unknowns of a plate, and of its sizes that have a standard deviation.
+    """The posterior of the unknowns of a plate, of its sizes and of the frequency scale: that of `sample`.
 
     The building block for one's own sampler or optimiser: ``log_prob`` takes parameter vectors (m, n) in SI
     units, in the order of ``parameters.names``, and returns (m,). The plate model is converged about the
@@ -490,7 +492,7 @@ def posterior(
     Examples
     --------
     >>> import cpam_bayes as cb
-    >>> posterior = cb.posterior("A1")
+    >>> posterior = cb.posterior(cb.read_plate("A1").with_exact_sizes())
     >>> posterior.parameters.names
     ('E1', 'nu12', 'relative_std')
     >>> inside, outside = posterior.log_prob([[67e9, 0.33, 0.01], [300e9, 0.33, 0.01]])
@@ -498,19 +500,47 @@ def posterior(
     True -inf
     """
     require_choice("likelihood", likelihood, get_args(Likelihood))
-    specimen = require_supported(read_plate(plate), NO_MESH)
+    specimen = with_references(require_supported(read_plate(plate), NO_MESH))
     measurement, unknowns = required(specimen)
     spare = max(_ONE_MORE if measurement.complete else _SPARE_MODES, spare_modes(measurement))
     parameters = unknowns.union(size_parameters(specimen))
     with explained_failures(specimen):
         reduction = ReductionSettings(basis_tolerance(measurement))
         reduced = reduced_model(specimen, parameters, measurement.size + spare, settings=reduction, near=near)
+    model = labelled_model(reduced, measurement, specimen)
+    at = reference_vector(specimen, parameters)
+    return _posterior_about(specimen, model, at, reduced.full.error, likelihood, degrees_of_freedom)
+
+
+def _posterior_about(
+    specimen: Specimen,
+    model: Model,
+    at: Array,
+    error: Array,
+    likelihood: Likelihood,
+    degrees_of_freedom: float,
+) -> Posterior:
+    """The posterior with the known errors of a model as they are at a parameter vector (n,).
+
+    Those of eq. (7), the absolute likelihood, are the solver's and those of sizes whose sd the file states.
+
+    error : (n_modes,) of the solver there
+    """
+    measurement, unknowns = required(specimen)
+    if likelihood == "absolute":
+        by_model, predicting = np.hypot(error, model.tolerance), None
+    else:
+        by_model = scatter(specimen, model, at, error)
+        values = model.parameters.mapping(at)
+        constants = {name: float(values[name]) for name in unknowns.names}
+        predicting = tolerant(specimen, model, constants, list_order(model, at))
     return plate_posterior(
-        labelled_model(reduced, measurement, specimen),
+        model,
         measurement,
-        np.hypot(reduced.full.error, reduced.tolerance),
+        by_model,
         likelihood=likelihood,
         degrees_of_freedom=degrees_of_freedom,
+        tolerant=predicting,
     )
 
 
@@ -524,7 +554,7 @@ def start_of(
     swarm_settings: SwarmSettings | None = None,
     notify: Callable[[str], None] = lambda text: None,
 ) -> Start:
-    """The posterior of a specimen's unknowns and of its sizes that have a standard deviation.
+    """The posterior of a specimen's unknowns, its sizes and the frequency scale.
 
     A complete list is first fitted by the paper's swarm with the sizes of the plate file, an
     incomplete one by a swarm on the posterior itself. likelihood, degrees_of_freedom : of the noise,
@@ -535,34 +565,30 @@ def start_of(
     parameters = unknowns.union(sizes)
     reduction = ReductionSettings(basis_tolerance(measurement))
 
-    def posterior_on(model: ReducedModel | LabelledModel, error: Array) -> Posterior:
-        return plate_posterior(
-            model,
-            measurement,
-            np.hypot(error, model.tolerance),
-            likelihood=likelihood,
-            degrees_of_freedom=degrees_of_freedom,
-        )
-
     if not measurement.complete:
         spare = max(_SPARE_MODES, spare_modes(measurement))
         reduced = reduced_model(
             specimen, parameters, measurement.size + spare, settings=reduction, notify=notify
         )
         model = labelled_model(reduced, measurement, specimen)
-        target = posterior_on(model, reduced.full.error)
+        at = reference_vector(specimen, parameters)
+        target = _posterior_about(specimen, model, at, reduced.full.error, likelihood, degrees_of_freedom)
         bests, values, solves = swarm_on_posterior(target, seed, swarm_settings or SwarmSettings())
         return Start(target, model, bests, values, solves)
     searched = search(specimen, seed, spare=_ONE_MORE, settings=swarm_settings, notify=notify)
     swarm, model, error = searched.swarm, searched.model, searched.error
-    bests = swarm.personal_bests
+    at = swarm.best
     if sizes.size:
         nominal = reference_vector(specimen, sizes)
-        bests = np.column_stack((bests, np.tile(nominal, (len(bests), 1))))
+        at = np.append(at, nominal)
         centre = None if searched.centre is None else np.append(searched.centre, nominal)
         reduced = reduced_model(
             specimen, parameters, model.n_modes, settings=reduction, centre=centre, notify=notify
         )
         model = labelled_model(reduced, measurement, specimen)
-        error = discretisation_error(reduced.full, np.append(swarm.best, nominal))
-    return Start(posterior_on(model, error), model, bests, swarm.personal_values, swarm.evaluations)
+        error = discretisation_error(reduced.full, at)
+    target = _posterior_about(specimen, model, at, error, likelihood, degrees_of_freedom)
+    numbers = target.model.parameters.without(*searched.model.parameters.names)
+    as_stated = np.tile(reference_vector(specimen, numbers), (len(swarm.personal_bests), 1))
+    bests = np.column_stack((swarm.personal_bests, as_stated))
+    return Start(target, model, bests, swarm.personal_values, swarm.evaluations)

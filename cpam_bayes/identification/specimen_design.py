@@ -16,10 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.answer import Verdict
+from cpam_bayes.effects import PlateFacts, extend
+from cpam_bayes.effects.edges import CLAMP_ROTATION, CLAMP_TRANSLATION
 from cpam_bayes.errors import LayupError
-from cpam_bayes.forward_model.model import PlateModel, plate_problem, reference_vector, size_parameters
+from cpam_bayes.forward_model.known_errors import common_errors
+from cpam_bayes.forward_model.model import PlateModel, plate_problem, reference_vector
 from cpam_bayes.identification.point import verdict_of
 from cpam_bayes.mechanics.convergence import Tolerance, converge
+from cpam_bayes.mechanics.dense import discretise
+from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.edges import ALL_FREE, CANTILEVER, is_stated
@@ -196,14 +201,16 @@ class Response:
     """Frequencies of a specimen at the reference constants.
 
     frequencies : (n_modes,) Hz
-    slopes : (n_modes, n) their derivatives by the constants, then by the sizes with a standard deviation, for
-        each standard deviation of the prior, Hz
+    slopes : (n_modes, n) their derivatives by the constants for each standard deviation of the prior, Hz,
+        then what they have in common: the errors of sizes, mass and frequency scale, and of clamps that give
     error : (n_modes,) estimated relative error
+    precision : (n, n) inverse of the priors' correlation
     """
 
     frequencies: Array
     slopes: Array
     error: Array
+    precision: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,20 +240,51 @@ class Expected:
 def response_of(specimen: Specimen, n_modes: int) -> Response:
     """The frequencies of a specimen and their derivatives, on a Ritz space converged at the reference.
 
+    Sizes, mass and frequency scale have the errors of `known_errors`, stated or usual. A clamp gives in
+    rotation and in translation by one standard deviation of the catalogue: how much it does is no better
+    known.
+
     Raises ``RigidBodyError`` where bending cannot be told from rounding.
     """
-    parameters = specimen.unknowns.union(size_parameters(specimen))
+    parameters = specimen.unknowns
     problem = plate_problem(specimen, parameters)
     x = reference_vector(specimen, parameters)
     beside = x * (1.0 + _BESIDE * np.linspace(-1.0, 1.0, len(x)))
     samples = np.stack((x, np.clip(beside, parameters.lower, parameters.upper)))
     samples = samples[problem.admissible(parameters.mapping(samples)) | np.array([True, False])]
     converged = converge(problem, parameters.mapping(samples), n_modes, _TOLERANCE)
-    predicted = PlateModel(converged.operator, n_modes, converged.error).predict(x, jacobian=True)
+    basis = (converged.settings, converged.keep)
+    model = PlateModel(converged.operator, n_modes, converged.error, basis)
+    predicted = model.predict(x, jacobian=True)
     assert predicted.jacobian is not None
-    return Response(
-        predicted.frequencies[0], predicted.jacobian[0] * prior_sd(parameters), converged.error[:n_modes]
-    )
+    f, constants = predicted.frequencies[0], dict(zip(parameters.names, x.tolist(), strict=True))
+    common = common_errors(specimen, model, constants, np.arange(n_modes))
+    relative = np.column_stack([*common.values(), *_of_clamps(specimen, x, n_modes, converged.settings)])
+    n = parameters.size
+    precision = np.eye(n + relative.shape[1])
+    precision[:n, :n] = parameters.precision
+    slopes = np.column_stack((predicted.jacobian[0] * prior_sd(parameters), f[:, None] * relative))
+    return Response(f, slopes, converged.error[:n_modes], precision)
+
+
+def _of_clamps(specimen: Specimen, x: Array, n_modes: int, settings: RitzSettings) -> list[Array]:
+    """Shifts of ln f by clamps that give, one standard deviation of the catalogue each, (n_modes,).
+
+    settings : of a Ritz space that is converged for the ideal clamps; opened, it serves for both
+    """
+    plate, shifts = specimen.plate, []
+    facts = PlateFacts.of(plate, specimen.material.isotropic, loaded=bool(specimen.sensors))
+    for effect in (CLAMP_ROTATION, CLAMP_TRANSLATION):
+        if not effect.applies_to(facts):
+            continue
+        problem = extend(plate_problem(specimen, specimen.unknowns), effect, facts)
+        sizes = [list(values.values()) for values in (effect.null, effect.scaled(1.0))]
+        samples = np.column_stack((np.repeat(x[None], 2, axis=0), sizes))
+        space = ritz_space(problem.edges, problem.nominal, settings)
+        operator = discretise(problem, space, problem.parameters.mapping(samples))
+        without, given = PlateModel(operator, n_modes, np.zeros(n_modes)).predict(samples).frequencies
+        shifts.append(np.log(given / without))
+    return shifts
 
 
 def prior_sd(parameters: ParameterSet) -> Array:
@@ -260,8 +298,9 @@ def expected_information(
     """The information of the lowest modes about constants, with everything else integrated over.
 
     The posterior at the reference is Gaussian with the precision F + P^-1, F = J^T S^-1 J the Fisher
-    information of the frequencies and P the variances of the priors. The expected information is
-    I = 1/2 (log det P_A - log det C_A), C_A the block of the constants asked for in (F + P^-1)^-1
+    information of the frequencies and P the covariance of the priors. The expected information is
+    I = 1/2 (log det P_A - log det C_A), C_A the block of the constants asked for in (F + P^-1)^-1, what the
+    frequencies have in common integrated over
     (Lindley, 1956; Chaloner and Verdinelli, 1995). S = (relative_std f)^2 + resolution^2 / 12 +
     (solver's error)^2.
 
@@ -270,12 +309,14 @@ def expected_information(
     f = response.frequencies[:n_modes]
     noise = (test.relative_std * f) ** 2 + test.resolution**2 / 12.0 + (response.error[:n_modes] * f) ** 2
     j = response.slopes[:n_modes] / np.sqrt(noise)[:, None]
-    covariance = np.linalg.inv(j.T @ j + np.eye(j.shape[1]))  # in units of the priors
+    covariance = np.linalg.inv(j.T @ j + response.precision)  # in units of the priors
     n = len(prior)
+    before = np.linalg.inv(response.precision)[:n, :n][np.ix_(asked, asked)]
     of_constants = covariance[:n, :n]
     spread = np.sqrt(np.diagonal(of_constants))
     block = of_constants[np.ix_(asked, asked)]
-    return Expected(-0.5 * float(np.linalg.slogdet(block)[1]), -np.log(spread), spread * prior)
+    information = 0.5 * float(np.linalg.slogdet(before)[1] - np.linalg.slogdet(block)[1])
+    return Expected(information, -np.log(spread), spread * prior)
 
 
 @dataclass(frozen=True, slots=True)

@@ -329,7 +329,8 @@ def leave_one_out(
     of a refit without the mode (Cook and Weisberg, 1982; as the cavity of an approximate posterior,
     Vehtari et al., 2016). m and v are those of the draws, in which bounds and curvature are. Where that
     gives a leverage above 0.95 the posterior is no Gaussian, and h is the diagonal of
-    A (A^T A + 1)^-1 A^T, A the weighted Jacobian at the optimum, where the residuals are taken too.
+    A (A^T A + R^-1)^-1 A^T, A the weighted Jacobian at the optimum, where the residuals are taken too, and R
+    the correlation of the priors, mostly 1.
 
     The noise stays as all modes together have it: a mode that is far off widens it a little, and its
     standardised residual is that much too small. Student-t noise counts with the variance that gives
@@ -350,7 +351,7 @@ def leave_one_out(
     if np.all(leverage <= MOST_LEVERAGE):
         return cavity(measured - predicted.mean(axis=0), leverage, squared, "draws", wider)
     jacobian = weighted_jacobian(posterior, optimum, pairing)
-    hessian = jacobian.T @ jacobian + np.eye(jacobian.shape[1])
+    hessian = jacobian.T @ jacobian + posterior.model.parameters.precision
     leverage = np.einsum("ij,ji->i", jacobian, np.linalg.solve(hessian, jacobian.T))
     there = posterior.predict(optimum[None])
     squared = posterior.noise(optimum[None], there)[0, rows, columns] ** 2 / information(nu)
@@ -459,15 +460,16 @@ def assess(
     best[n_plate:] = np.median(draws[:, n_plate:], axis=0)
     predicted = posterior.predict(draws)
     log_likelihood, pointwise = log_likelihoods(posterior, draws, predicted, pairing)
-    log_prior = [p.prior.log_density(draws[:, i]) for i, p in enumerate(posterior.parameters.parameters)]
+    of_plate = posterior.model.parameters
+    noise = posterior.parameters.without(*of_plate.names)
     return Assessment(
         combinations=combinations(posterior, best, pairing),
         profiles=profile_likelihoods(posterior, constants, result.draws, result.log_prob.ravel()),
         power_scaling=power_scaling(
             posterior.parameters.names,
             draws,
-            np.sum(log_prior[:n_plate], axis=0),
-            np.sum(log_prior[n_plate:], axis=0) + np.zeros(len(draws)),
+            of_plate.log_prior(draws[:, :n_plate]),
+            noise.log_prior(draws[:, n_plate:]),
             log_likelihood,
         ),
         moved_bounds=moved_bounds(posterior.parameters, draws),

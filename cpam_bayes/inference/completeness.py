@@ -67,7 +67,8 @@ def transcription_error(
     """
     if not posterior.measurement.complete:
         return None
-    alternative = alternative_pairing(posterior, best, reference_vector(specimen, model.parameters)[None])
+    reference = reference_vector(specimen, posterior.model.parameters)
+    alternative = alternative_pairing(posterior, best, reference[None])
     if alternative is None:
         return None
     if alternative.spurious is not None:
@@ -306,7 +307,7 @@ def profile_likelihoods(
 def _without_priors(posterior: Posterior, names: tuple[str, ...]) -> Posterior:
     """The posterior with even priors of some parameters between their bounds."""
     parameters = tuple(
-        replace(p, prior=Uniform(p.prior.lower, p.prior.upper)) if p.name in names else p
+        replace(p, prior=Uniform(p.prior.lower, p.prior.upper), coupled=None) if p.name in names else p
         for p in posterior.parameters.parameters
     )
     return replace(posterior, parameters=ParameterSet(parameters, posterior.parameters.fixed))

@@ -123,11 +123,10 @@ def expand(posterior: Posterior, x: Array) -> Expansion:
     if inside.any():
         x_inside = x[inside]
         likelihood = expand_likelihood(posterior, x_inside)
-        prior_slope, prior_bend = _prior(posterior, x_inside)
+        prior_slope, prior_curvature = _prior(posterior, x_inside)
         value[inside] += likelihood.value
         gradient[inside] = likelihood.gradient + prior_slope
-        diagonal = np.maximum(prior_bend, 0.0)[..., None] * np.eye(n)
-        curvature[inside] = likelihood.curvature + diagonal
+        curvature[inside] = likelihood.curvature + prior_curvature
     return Expansion(value, gradient, curvature)
 
 
@@ -274,10 +273,11 @@ def _summed(posterior: Posterior, x: Array) -> Expansion:
 
 
 def _prior(posterior: Posterior, x: Array) -> tuple[Array, Array]:
-    """Gradient and negative second derivative of the log prior in every parameter, (m, n) each.
+    """Gradient (m, n) and curvature (m, n, n) of the log prior, positive semidefinite.
 
-    Central differences. Next to a bound they are taken a step inside and carried to it by the second
-    derivative. The second derivative of the noise is that of its density over log x.
+    Central differences of independent priors. Next to a bound they are taken a step inside and carried to it
+    by the second derivative. The second derivative of the noise is that of its density over log x. Correlated
+    priors have the curvature of the normal density of their scores.
     """
     axes = coordinates(posterior)
     gradient, bend = np.zeros_like(x), np.zeros_like(x)
@@ -289,7 +289,17 @@ def _prior(posterior: Posterior, x: Array) -> tuple[Array, Array]:
         second = (up - 2.0 * here + down) / h**2
         gradient[:, j] = (up - down) / (2.0 * h) + second * (x[:, j] - at)
         bend[:, j] = -second - (gradient[:, j] / x[:, j] if axes.logged[j] else 0.0)
-    return gradient, bend
+    parameters = posterior.parameters
+    curvature = np.maximum(bend, 0.0)[..., None] * np.eye(x.shape[1])
+    if parameters.root is not None:
+        scores = NormalScores(parameters)
+        v, by_x = scores.of_each(x)
+        precision = parameters.precision
+        own = np.array([p.coupled is not None for p in parameters.parameters])
+        gradient += by_x * (v - v @ precision)
+        among = np.ix_(np.arange(len(x)), own, own)
+        curvature[among] = (by_x[:, :, None] * precision * by_x[:, None, :])[among]
+    return gradient, curvature
 
 
 # Scores are cut here: probabilities beyond are rounding.
@@ -299,7 +309,7 @@ _HALF_LOG_2PI = 0.5 * float(np.log(2.0 * np.pi))
 
 @dataclass(frozen=True)
 class NormalScores:
-    """z with Phi(z) = F(x), F the distribution function of a parameter's prior.
+    """z with Phi(L z) = F(x), F the distribution functions of the parameters' priors, L their `root`.
 
     The density over z is the likelihood times the standard normal density.
     """
@@ -323,16 +333,38 @@ class NormalScores:
     def to_x(self, z: Array) -> Array:
         """Parameters of scores (..., n), within their bounds."""
         # cut, for half-bounded parameters have no finite value at the end
-        return self._priors.from_normal(np.minimum(np.maximum(z, -MAX_SCORE), MAX_SCORE))
+        return self._priors.from_normal(np.minimum(np.maximum(self._coupled(z), -MAX_SCORE), MAX_SCORE))
 
     def to_z(self, x: Array) -> Array:
         """Scores of parameters (..., n)."""
-        return np.clip(self._priors.to_normal(x), -MAX_SCORE, MAX_SCORE)
+        z = np.clip(self._priors.to_normal(x), -MAX_SCORE, MAX_SCORE)
+        if self.parameters.root is None:
+            return z
+        return np.clip(z @ np.linalg.inv(self.parameters.root).T, -MAX_SCORE, MAX_SCORE)
+
+    def _coupled(self, z: Array) -> Array:
+        root = self.parameters.root
+        return z if root is None else np.asarray(z @ root.T)
+
+    def of_each(self, x: Array) -> tuple[Array, Array]:
+        """Scores of parameters (..., n) as if they were independent, and the slopes of these, (..., n)."""
+        v = np.clip(self._priors.to_normal(x), -MAX_SCORE, MAX_SCORE)
+        return v, np.exp(self._priors.log_densities(x) + 0.5 * v**2 + _HALF_LOG_2PI)
+
+    def by_score(self, slope: Array, x: Array, z: Array) -> Array:
+        """Derivatives over parameters (..., k, n) as ones over scores, at parameters and scores (..., n).
+
+        d x_i / d z_j = L_ij phi(v_i) / p_i(x_i), v = L z, p_i the density of the prior.
+        """
+        scaled, root = slope * self.slope(x, z)[..., None, :], self.parameters.root
+        return np.asarray(scaled if root is None else scaled @ root)
 
     def slope(self, x: Array, z: Array) -> Array:
-        """d x / d z, (..., n): the density of the standard normal over that of the prior."""
-        log_density = self._priors.log_densities(x)
-        return np.asarray(np.exp(-0.5 * z**2 - _HALF_LOG_2PI - log_density))
+        """Slopes of parameters over their own scores L z, (..., n): the normal density over the prior's."""
+        log_density, own = self._priors.log_densities(x), self._coupled(z)
+        if self.parameters.root is not None:
+            own = np.clip(own, -MAX_SCORE, MAX_SCORE)
+        return np.asarray(np.exp(-0.5 * own**2 - _HALF_LOG_2PI - log_density))
 
     def log_prior(self, z: Array) -> Array:
         """Log prior density over scores (..., n), (...)."""
@@ -343,9 +375,13 @@ class NormalScores:
 
         The standard normal prior has the gradient -z and the curvature 1.
         """
-        slope = self.slope(x, z)
-        curvature = likelihood.curvature * slope[:, :, None] * slope[:, None, :] + np.eye(z.shape[1])
-        return Expansion(likelihood.value + self.log_prior(z), likelihood.gradient * slope - z, curvature)
+        slope, root = self.slope(x, z), self.parameters.root
+        gradient = likelihood.gradient * slope
+        curvature = likelihood.curvature * slope[:, :, None] * slope[:, None, :]
+        if root is not None:
+            gradient, curvature = gradient @ root, root.T @ curvature @ root
+        curvature = curvature + np.eye(z.shape[1])
+        return Expansion(likelihood.value + self.log_prior(z), gradient - z, curvature)
 
 
 def apart(z: Array, curvature: Array, distance: float, most: int | None = None) -> list[int]:

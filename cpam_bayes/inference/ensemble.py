@@ -229,8 +229,8 @@ def start_positions(
 
     The swarm's distinct personal bests, the best first, are carried to optima of the posterior. From
     each optimum that is not hopeless walkers are drawn along the data's own covariance, as many as
-    its height and volume deserve: a collapsed swarm gives no degenerate ensemble. Raises
-    ``ValueError`` where no particle is in the support of the prior.
+    its height and volume deserve: a collapsed swarm gives no degenerate ensemble. At bounds they are
+    reflected. Raises ``ValueError`` where no particle is in the support of the prior.
 
     swarm : (m, n_plate) personal bests.
     values : (m,) their misfits.
@@ -239,15 +239,18 @@ def start_positions(
     height = np.array([o.log_prob + 0.5 * np.linalg.slogdet(o.covariance)[1] for o in optima])
     weight = np.exp(height - height.max())
     chosen = rng.choice(len(optima), size=n, p=weight / weight.sum())
+    lower, upper = posterior.parameters.lower, posterior.parameters.upper
     found = np.empty((n, posterior.parameters.size))
     for i, k in enumerate(chosen):
         factor = np.linalg.cholesky(optima[k].covariance)
         widen = 1.0
         while True:
             x = optima[k].optimum + widen * factor @ rng.standard_normal(len(factor))
+            x = lower + np.abs(x - lower)
+            x = np.maximum(upper - np.abs(upper - x), lower)
             if np.isfinite(posterior.log_prob(x[None])[0]):
                 break
-            widen = max(0.9 * widen, 1e-3)  # at a bound most of the Gaussian lies outside
+            widen = max(0.9 * widen, 1e-3)  # at a constraint of the material
         found[i] = x
     return found
 

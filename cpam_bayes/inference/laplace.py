@@ -335,12 +335,13 @@ def optimise(posterior: Posterior, start: Array) -> GaussianApproximation:
 
 
 def gauss_newton_covariance(posterior: Posterior, x: Array) -> Array:
-    """(F + P^-1)^-1 at x (n,), F the information of the data, P the variances of the priors, (n, n).
+    """(F + P^-1)^-1 at x (n,), F the information of the data, P the covariance of the priors, (n, n).
 
     F is J^T S^-1 J for Gaussian noise that is known, see ``expansion.information``.
     """
-    precision = information(posterior, x[None])[0] + np.diag(1.0 / prior_sd(posterior) ** 2)
-    return np.asarray(np.linalg.inv(precision))
+    by_sd = 1.0 / prior_sd(posterior)
+    of_prior = by_sd[:, None] * posterior.parameters.precision * by_sd
+    return np.asarray(np.linalg.inv(information(posterior, x[None])[0] + of_prior))
 
 
 def approximate(

@@ -185,10 +185,11 @@ class LogDensity:
             return self
 
     def variance(self, x: Array) -> Array:
-        """sigma^2 of every frequency at parameters (m, n), discrepancy included, (m, n_f) Hz^2."""
+        """sigma^2 of every frequency at parameters (m, n), discrepancy included, (m, n_f) Hz^2.
+
+        What the frequencies have in common is not in it.
+        """
         variance = self._independent(x)
-        if self.listed.common is not None:
-            variance = variance + np.diagonal(self.listed.common)
         if self.discrepancy is not None:
             variance = variance + (x[:, self.discrepancy, None] * self.listed.frequencies) ** 2
         return variance
@@ -201,6 +202,22 @@ class LogDensity:
         if self.discrepancy is not None:
             covariance = covariance + x[:, self.discrepancy, None, None] ** 2 * self._discrepant
         return np.asarray(covariance)
+
+    def misfit(self, x: Array, f: Array) -> Array:
+        """r^T S^-1 r of the residuals of predictions (m, n_f) at parameters (m, n), (m,)."""
+        white, _ = _whitened(self.listed.frequencies - f, self.covariance(x))
+        return np.asarray(np.sum(white**2, axis=1))
+
+    def common_part(self, z: Array) -> Array:
+        """Expected part of the residuals that the frequencies have in common at scores (m, n), (m, n_f) Hz.
+
+        C S^-1 r, C the covariance of what they have in common and S that of all.
+        """
+        x = self.scores.to_x(z)
+        r = self.listed.frequencies - self.predict(x)[0]
+        if self.listed.common is None:
+            return np.zeros_like(r)
+        return np.asarray(np.linalg.solve(self.covariance(x), r[..., None])[..., 0] @ self.listed.common)
 
     def log_likelihood(self, x: Array) -> Array:
         """Log likelihood at parameters (m, n), -inf where the constraints (9) are broken, (m,)."""
@@ -300,8 +317,7 @@ class LogDensity:
 
     def _correlated(self, r: Array, covariance: Array) -> tuple[Array, Array]:
         """Log density of residuals (m, n_f) and L^-1 with L L^T the covariance, (m, n_f, n_f)."""
-        back = np.linalg.inv(np.linalg.cholesky(covariance))
-        white = np.einsum("mij,mj->mi", back, r)
+        white, back = _whitened(r, covariance)
         log_determinant = -2.0 * np.log(np.diagonal(back, axis1=1, axis2=2)).sum(axis=1)
         quadratic = np.sum(white**2, axis=1) + log_determinant + r.shape[1] * np.log(2 * np.pi)
         return np.asarray(self.listed.log_constant - 0.5 * quadratic), back
@@ -336,3 +352,9 @@ class LogDensity:
                 scale = np.where(self._amplitude_columns == column, self.listed.scale, 0.0)
                 slopes.append(twice * (scale**2 * np.eye(n)))
         return slopes
+
+
+def _whitened(r: Array, covariance: Array) -> tuple[Array, Array]:
+    """L^-1 r of residuals (m, n_f), and L^-1 (m, n_f, n_f) with L L^T the covariance."""
+    back = np.linalg.inv(np.linalg.cholesky(covariance))
+    return np.einsum("mij,mj->mi", back, r), back

@@ -323,17 +323,20 @@ def plate_posterior(
     likelihood: Likelihood = "relative",
     degrees_of_freedom: float = np.inf,
     pairing: PairingPrior | None = None,
+    tolerant: ForwardModel | None = None,
 ) -> Posterior:
     """The posterior of a model's parameters, with the noise among them if the file leaves it out.
 
     likelihood, degrees_of_freedom : as of ``noise_model``.
     solver_error : (n_modes,) relative.
     pairing : prior of the pairings of an incomplete list, by default that of the measurement.
+    tolerant : the model with further parameters, by which it predicts the same modes.
 
     Raises ``ValueError`` for a list with labels or shapes unless the model is a ``LabelledModel``.
     """
     noise = noise_model(measurement, solver_error, likelihood, degrees_of_freedom)
-    parameters = model.parameters
+    predicting = model if tolerant is None else tolerant
+    parameters = predicting.parameters
     if noise.parameter is not None:
         parameters = parameters.union(ParameterSet((noise.parameter,)))
     labelled = np.zeros(measurement.size, dtype=bool)
@@ -348,4 +351,4 @@ def plate_posterior(
         )
     if pairing is None:
         pairing = PairingPrior.of(measurement)
-    return Posterior(model, measurement, parameters, noise, labelled, pairing, alternatives)
+    return Posterior(predicting, measurement, parameters, noise, labelled, pairing, alternatives)

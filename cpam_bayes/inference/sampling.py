@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
+import json
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -31,6 +31,7 @@ from cpam_bayes.inference.student_mixture import RELIABLE_K, log_mixture, weight
 from cpam_bayes.inference.swarm import SwarmSettings, minimise
 from cpam_bayes.plate import Specimen, to_user, unit_of, user_name
 from cpam_bayes.running import single_blas_thread
+from cpam_bayes.storage import opened_draws
 
 Array = NDArray[Any]
 
@@ -234,17 +235,6 @@ _COMMAND: Final = "command"
 _LIBRARIES: Final = ("numpy", "scipy", "emcee", "arviz_base")
 
 
-def opened_draws(file: str | os.PathLike[str]) -> Any:
-    """The groups of a posterior's file as an ``xarray.DataTree``, in memory; the file is closed.
-
-    Raises ``OSError``, ``ValueError`` and others that the reader of a damaged file raises.
-    """
-    import xarray  # heavy
-
-    with xarray.open_datatree(os.fspath(file)) as data:
-        return data.load()
-
-
 def command_of_draws(file: Path) -> str | None:
     """The command whose draws a file holds, None for a file of something else."""
     try:
@@ -259,11 +249,41 @@ def by_user_name(names: tuple[str, ...], draws: np.typing.NDArray[Any]) -> dict[
     return {user_name(name): draws[..., i] * to_user(name, 1.0) for i, name in enumerate(names)}
 
 
+def hashed(posterior: Posterior) -> dict[str, str]:
+    """The hash of the problem that draws are of, as an attribute."""
+    centre = np.array([[p.prior.mean for p in posterior.parameters.parameters]])
+    return {"problem_hash": problem_hash(posterior, centre)}
+
+
+def described(specimen: Specimen, noise: float | None) -> tuple[dict[str, Any], dict[str, float]]:
+    """What a file of draws says of the plate: attributes, and its group constant_data.
+
+    noise : repeatability of a frequency that is no parameter, where the plate file leaves it out
+    """
+    plate, material, measurement = specimen.plate, specimen.material, specimen.measurement
+    assert measurement is not None
+    held = {user_name(n): to_user(n, v) for n, v in material.constants.items() if n not in specimen.unknowns}
+    attributes: dict[str, Any] = {
+        "specimen": specimen.specimen,
+        "symmetry": material.symmetry,
+        "held_constants": json.dumps(held, sort_keys=True),
+        "layup": plate.layup.text,
+        "edges": plate.edges,
+    }
+    repeatability = noise if measurement.relative_std is None else measurement.relative_std
+    if measurement.frequency_sd is not None:
+        repeatability = float(np.mean(measurement.frequency_sd / measurement.frequencies))
+    if repeatability is not None:
+        attributes["repeatability"] = repeatability
+    sizes = {user_name(n): to_user(n, getattr(plate, n)) for n in ("length", "width", "thickness", "density")}
+    return attributes, sizes
+
+
 def arviz_data(
     command: str,
     specimen: Specimen,
     seed: int,
-    sampled: Any,
+    names: Sequence[str],
     attributes: Mapping[str, Any],
     groups: Mapping[str, Mapping[str, Any]],
     dims: Mapping[str, list[str]],
@@ -272,13 +292,12 @@ def arviz_data(
     """The groups as an ``xarray.DataTree`` in the conventions of arviz 1.
 
     command : whose answer they are of, see `command_of_draws`.
-    sampled : the posterior that the hash of the problem is of.
-    attributes : beside command, versions, plate, seed and hash.
+    names : of the parameters that were drawn.
+    attributes : beside command, versions, plate and seed.
     groups, dims, coords : as of ``arviz_base.from_dict``.
     """
     import arviz_base  # heavy
 
-    centre = np.array([[p.prior.mean for p in sampled.parameters.parameters]])
     attrs = {
         _COMMAND: command,
         "cpam_bayes_version": __version__,
@@ -287,7 +306,6 @@ def arviz_data(
         "plate": specimen.name,
         "source": specimen.source,
         "seed": seed,
-        "problem_hash": problem_hash(sampled, centre),
         **attributes,
     }
     with warnings.catch_warnings():  # many walkers with few thinned draws look like a slip
@@ -296,6 +314,6 @@ def arviz_data(
     for name, group in data.children.items():
         group.attrs.pop("created_at", None)
         if name in ("posterior", "prior"):
-            for constant in sampled.parameters.names:
+            for constant in names:
                 group[user_name(constant)].attrs["unit"] = unit_of(constant)
     return data

@@ -121,6 +121,7 @@ def split(mixture: Mixture, points: Array, weights: Array, components: int) -> M
     while len(mixture.share) < components:
         i = int(np.argmax(mixture.share))
         values, vectors = np.linalg.eigh(mixture.factor[i] @ mixture.factor[i].T)
+        values = np.maximum(values, 0.0)  # rounding, where units differ by many orders of magnitude
         scale = np.sqrt(np.diag(_covariance(points, weights, weights @ points)))
         # the longest axis in units of the whole cloud, so that no coordinate's unit decides
         longest = int(np.argmax(np.linalg.norm(vectors * np.sqrt(values) / scale[:, None], axis=0)))

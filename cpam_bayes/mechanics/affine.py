@@ -91,14 +91,15 @@ def relations(coefficients: Array, norms: Array) -> tuple[Array, Array]:
     if not len(present):  # rigid-body motions alone
         return present, np.zeros((0, len(norms)))
     c = coefficients[:, present]
-    scaled = c / size[present] * (norm[present] / norm.max())
+    scale = norm[present] / norm.max() / size[present]
+    scaled = c * scale
     _, r, pivots = scipy.linalg.qr(scaled, mode="economic", pivoting=True)
     rank = int(np.count_nonzero(np.abs(np.diagonal(r)) > 1e-11 * abs(r[0, 0])))
     kept = np.sort(pivots[:rank])
-    found = np.linalg.lstsq(c[:, kept], c, rcond=None)[0]  # c = c[:, kept] @ found
+    found = np.linalg.lstsq(scaled[:, kept], scaled, rcond=None)[0]  # scaled = scaled[:, kept] @ found
     found[np.abs(found) < 1e-13 * np.abs(found).max(axis=0)] = 0.0
     relation = np.zeros((rank, len(norms)))
-    relation[:, present] = found
+    relation[:, present] = scale[kept, None] * found / scale
     return present[kept], relation
 
 
@@ -543,6 +544,27 @@ class Box(_Local):
     def __call__(self, t: Array) -> Array:
         """Values at points (n,) of [0, 1], (n,)."""
         return np.asarray(np.where(np.abs(t - self.centre) <= self.width, 1.0, 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Twins:
+    """A weight about a centre and its mirror image about the middle, added."""
+
+    one: Bell | Box
+
+    @property
+    def parity(self) -> int:
+        """1."""
+        return 1
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Those of both."""
+        return (*self.one.breaks, *(1.0 - t for t in self.one.breaks))
+
+    def __call__(self, t: Array) -> Array:
+        """Values at points (n,) of [0, 1], (n,)."""
+        return self.one(t) + self.one(1.0 - t)
 
 
 ONE = Polynomial((1.0,))

@@ -29,8 +29,8 @@ from cpam_bayes.mechanics.affine import (
 
 Array = NDArray[Any]
 
-# Of a response that the modes hold already, relative to its flexibility.
-_NUGGET = 1e-11
+# Of a response that the modes hold already, relative to its flexibility; rounding leaves 1e-9 of one.
+_NUGGET = 1e-8
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,8 +143,9 @@ def lowest_modes(
 
 # Modes of all parts together that a loaded block is solved in, over those asked for.
 _FURTHER = 24
-# Shift of the energy over the highest eigenvalue asked for: it makes a free plate stiff.
-_SHIFT = 0.1
+# Shift of the energy over the highest eigenvalue asked for, or over the one of so many: it makes a free plate
+# stiff, and a response to a load is lost in rounding where it is as low as the first modes.
+_SHIFT, _FEWEST = 0.1, 12
 # Fraction of its modes from which on a part is taken with all of them, and no response is left to it.
 _MOST = 0.4
 # Numbers of a stack of matrices that are solved at a time.
@@ -208,7 +209,7 @@ class LoadedBlock:
     def _modes(self, stiffness: Array, mass: Array, n: int, vectors: bool) -> tuple[Array, Array]:
         pairs = [part.modes(stiffness, mass, min(n + _FURTHER, part.size)) for part in self.parts]
         pooled = np.sort(np.concatenate([lam for lam, _ in pairs], axis=1), axis=1)
-        shift = _SHIFT * np.abs(pooled[:, n - 1 : n])
+        shift = _SHIFT * np.abs(pooled[:, min(max(n, _FEWEST), pooled.shape[1]) - 1, None])
         highest = pooled[:, min(n + _FURTHER, pooled.shape[1]) - 1, None]
         plate, loads = PlateModes([], [], [], []), []
         for part, row, (lam, phi) in zip(self.parts, self.split(self.rows), pairs, strict=True):

@@ -7,16 +7,16 @@ enter through coefficients alone. An effect is a function ``Problem -> Problem``
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import combinations_with_replacement
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from cpam_bayes.plate.edges import EDGES, FIELDS, Field, conditions, is_stated
 from cpam_bayes.plate.laminate import (
     ENERGY_CONSISTENT,
@@ -241,6 +241,30 @@ class Problem:
     def with_terms(self, *terms: Term) -> Problem:
         """The problem with further terms."""
         return replace(self, terms=(*self.terms, *terms))
+
+
+# The parameter of a problem of several that says which of them, counted from 0.
+FORM = "form"
+
+
+def any_of(problems: Sequence[Problem]) -> Problem:
+    """A plate in any of several forms, which have terms and parameters in common."""
+    first, n = problems[0], len(problems)
+    number = ParameterSet((Parameter(FORM, "", Uniform(0.0, n), 0.5 * n),))
+    kinds: tuple[MatrixKind, ...] = ("stiffness", "mass")
+    terms = (Term(FORM, kind, first.forms(kind), partial(_of_form, problems, kind)) for kind in kinds)
+    return replace(first, parameters=first.parameters.union(number), terms=tuple(terms))
+
+
+def _of_form(problems: Sequence[Problem], kind: MatrixKind, state: PlateState, values: Values) -> Array:
+    """Coefficients (m, n_forms) at m sets of values."""
+    del state
+    number = np.minimum(values[FORM].astype(int), len(problems) - 1)
+    found = np.empty((len(number), len(problems[0].forms(kind))))
+    for i in np.unique(number):
+        rows = number == i
+        found[rows] = problems[i].coefficients({name: v[rows] for name, v in values.items()}, kind)
+    return found
 
 
 def laminate_coefficients(state: PlateState, values: Values) -> Array:

@@ -278,8 +278,10 @@ def _leave_at_end_of(lifeline: Connection) -> None:
 T = TypeVar("T")
 
 PROCESSES, SERIAL = "processes", "serial"
-ACCEPTED = f"{PROCESSES}, {SERIAL} or dask://HOST:PORT, the address of a Dask scheduler"
-_DASK = re.compile(r"dask://(?P<host>[^\s:/\[\]]+|\[[0-9A-Fa-f:.]+\]):(?P<port>[0-9]{1,5})/?")
+ACCEPTED = (
+    f"{PROCESSES}, {SERIAL} or dask://HOST:PORT, the address of a Dask scheduler; with TLS tls://HOST:PORT"
+)
+_DASK = re.compile(r"(?P<scheme>dask|tls)://(?P<host>[^\s:/\[\]]+|\[[0-9A-Fa-f:.]+\]):(?P<port>[0-9]{1,5})/?")
 # Seconds that a scheduler may take to answer and to show its first worker.
 PATIENCE = 10.0
 
@@ -289,7 +291,7 @@ class WorkersLostError(RuntimeError):
 
 
 def read_spec(text: str) -> str:
-    """The name of an executor, if it is one: ``processes``, ``serial`` or ``dask://HOST:PORT``.
+    """The name of an executor, if it is one: `processes`, `serial`, `dask://HOST:PORT`, `tls://HOST:PORT`.
 
     Raises ``ValueError`` for others.
     """
@@ -302,7 +304,8 @@ def _dask_address(text: str) -> str | None:
     match = _DASK.fullmatch(text)
     if match is None or not 0 < int(match["port"]) < 2**16:
         return None
-    return f"tcp://{match['host']}:{match['port']}"
+    scheme = "tls" if match["scheme"] == "tls" else "tcp"
+    return f"{scheme}://{match['host']}:{match['port']}"
 
 
 @contextmanager
@@ -314,10 +317,11 @@ def open_executor(
     spec : ``None`` or "processes": worker processes of this machine, ``processes`` of them or as many as
     there are cores; where there is one core, work in this process. "serial": ``None``, for work in this
     process. "dask://host:port": the workers of that cluster, whose scheduler may take ``patience`` seconds to
-    answer and as many to show a worker.
+    answer and as many to show a worker. "tls://host:port": the same with TLS, whose certificates stand in
+    Dask's own configuration.
 
-    Raises ``ValueError`` for anything else, a scheduler that does not answer or has no workers, and workers
-    that have another version of this package or none.
+    Raises ``ValueError`` for anything else, a scheduler that does not answer or has no workers, TLS without
+    certificates, and workers that have another version of this package or none.
     """
     spec = PROCESSES if spec is None else read_spec(spec)
     if processes is not None and spec != PROCESSES:
@@ -468,6 +472,8 @@ def _connected(spec: str, address: str, patience: float) -> Iterator[DaskCluster
         raise ValueError(
             f"executor: received {spec}, but Dask is not installed; install cpam-bayes[dask]"
         ) from error
+    security: Any = distributed.Security
+    _require_encryption_as_configured(security(), spec, address)
     connect: Any = distributed.Client
     try:
         client = connect(address, timeout=patience, set_as_default=False)
@@ -481,6 +487,26 @@ def _connected(spec: str, address: str, patience: float) -> Iterator[DaskCluster
         yield DaskCluster(client, address)
     finally:
         client.close()
+
+
+def _require_encryption_as_configured(security: Any, spec: str, address: str) -> None:
+    """Raise ``ValueError`` for TLS without certificates, and for none where Dask is set to ask for it."""
+    try:
+        configured = security.get_connection_args("client")
+    except OSError as error:
+        raise ValueError(
+            f"executor: received {spec}, but a certificate or key that Dask is set to use cannot be read "
+            f"({error}); check distributed.comm.tls in its configuration"
+        ) from error
+    if address.startswith("tls") and configured["ssl_context"] is None:
+        raise ValueError(
+            f"executor: received {spec}, but Dask has no certificates; set ca-file, client.cert and "
+            "client.key under distributed.comm.tls in its configuration"
+        )
+    if not address.startswith("tls") and configured["require_encryption"]:
+        raise ValueError(
+            f"executor: received {spec}, but Dask is set to require encryption; write tls:// for dask://"
+        )
 
 
 def _require_workers(client: Any, spec: str, patience: float) -> None:

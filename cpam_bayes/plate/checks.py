@@ -20,8 +20,8 @@ from cpam_bayes.errors import LayupError
 from cpam_bayes.plate.laminate import CONSTRAINTS, MaterialSymmetry, constraint_violations, is_admissible
 from cpam_bayes.plate.layup import Layup, PlyKind, parse_layup
 from cpam_bayes.plate.records import USER_UNITS, angle_grid, to_si, user_name
-from cpam_bayes.plate.schema import MAX_FREQUENCIES, NAME, is_hybrid
-from cpam_bayes.plate.text import Data, Problem, Problems, number, numbers, real, received, table
+from cpam_bayes.plate.schema import MAX_FREQUENCIES, NAME, PlateModel, is_hybrid
+from cpam_bayes.plate.text import MAX_SHOWN, Data, Problem, Problems, number, numbers, real, received, table
 
 __all__ = ["CONSTANT_KEYS", "ply_kinds", "relation_problems", "symmetry_of"]
 
@@ -66,9 +66,17 @@ _BESIDE: Final[Mapping[str, Mapping[str, str]]] = {
 _Check = Callable[[Data], Problems]
 
 
-def relation_problems(data: Data, directory: Path | None) -> list[Problem]:
-    """Every relation that a file breaks; `directory` is where its relative paths begin."""
+def relation_problems(data: Data, directory: Path | None, *, sizes_known: bool = True) -> list[Problem]:
+    """Every relation that a file breaks.
+
+    directory : where its relative paths begin; sizes_known : false where keys of [plate] are guessed, in
+        another unit perhaps
+    """
     problems = [problem for check in _CHECKS for problem in check(data)]
+    of_sizes = [problem for check in _CHECKS_OF_SIZES for problem in check(data)]
+    # what a wrong size or mass does to the sensors would only be said a second time
+    of_sizes = of_sizes or [problem for check in (_sensors, _heavy_sensors) for problem in check(data)]
+    problems += of_sizes if sizes_known else []
     problems += [
         problem.of_material(name)
         for check in _CHECKS_OF_A_MATERIAL
@@ -252,22 +260,22 @@ def _possible_box(data: Data, boxes: Mapping[str, tuple[float, float]]) -> Probl
 def _possible_moduli(data: Data) -> Problems:
     """Moduli in MPa or Pa."""
     material, unknowns = table(data, "material"), table(data, "unknowns")
-    for key in (name for name in USER_UNITS if name.endswith("_GPa")):
-        value = number(material, key)
-        if value is not None and value > _MAX_MODULUS:
-            yield Problem(
-                ("material", key),
-                f"stiffer than any material, received {value:g}, accepted: up to {_MAX_MODULUS:g} GPa; "
-                f"{value:g} MPa are {value / 1e3:g} GPa",
-            )
+    moduli = [name for name in USER_UNITS if name.endswith("_GPa")]
+    given: list[tuple[str, str, float | None]] = [("material", key, number(material, key)) for key in moduli]
+    for key in moduli:
         prior = unknowns.get(key)
         bounds = numbers(prior, "bounds") if isinstance(prior, dict) else numbers(unknowns, key)
-        if bounds and min(bounds) > _MAX_MODULUS:
-            yield Problem(
-                ("unknowns", key),
-                f"stiffer than any material, received {received(bounds)}, accepted: bounds in GPa, the lower "
-                f"one up to {_MAX_MODULUS:g}; {min(bounds):g} MPa are {min(bounds) / 1e3:g} GPa",
-            )
+        given.append(("unknowns", key, min(bounds, default=None) if bounds else None))
+    large = [(name, key, value) for name, key, value in given if value is not None and value > _MAX_MODULUS]
+    if large:
+        said = ", ".join(f"{key} {value:g}" for _, key, value in large[:MAX_SHOWN])
+        value = large[0][2]
+        unit, factor = ("Pa", 1e9) if value > _MAX_MODULUS * 1e3 else ("MPa", 1e3)
+        yield Problem(
+            large[0][:2],
+            f"stiffer than any material, received {said}, accepted: up to {_MAX_MODULUS:g} GPa; {value:g} "
+            f"{unit} are {value / factor:g} GPa",
+        )
 
 
 def _grid_step(data: Data) -> Problems:
@@ -325,7 +333,7 @@ def _one_density(data: Data) -> Problems:
                 "beside densities of the materials, accepted: these, with mass_g where the plate was weighed",
             )
         return
-    if not given:
+    if not given and plate.keys() <= PlateModel.model_fields.keys():  # else one of the others was meant
         accepted = "accepted: density_kg_m3, mass_g, or both"
         yield Problem(("plate",), f"density, received neither, {accepted}", is_gap=True)
 
@@ -549,6 +557,7 @@ def _sensors(data: Data) -> Problems:
                     ("sensor", i, key),
                     f"outside the plate, received {place:g}, accepted: 0 to {extent:g}, the {side}",
                 )
+                break
 
 
 def _heavy_sensors(data: Data) -> Problems:
@@ -659,21 +668,17 @@ def _incomplete(data: Data) -> Problems:
 
 _CHECKS: Final[tuple[_Check, ...]] = (
     _one_density,
-    partial(_density, owner="plate"),
-    _possible_mass,
-    _thin,
     partial(_spreads, name="plate"),
     _known_plies,
     _materials_of_plies,
     _layups,
     _stated_thickness,
     _grid_step,
-    _sensors,
-    _heavy_sensors,
     _one_list,
     _frequencies,
     _incomplete,
 )
+_CHECKS_OF_SIZES: Final[tuple[_Check, ...]] = (partial(_density, owner="plate"), _possible_mass, _thin)
 _CHECKS_OF_A_MATERIAL: Final[tuple[_Check, ...]] = (
     partial(_density, owner="material"),
     _possible_moduli,

@@ -94,6 +94,8 @@ CONDITIONS: Final[Mapping[str, EdgeCondition]] = MappingProxyType(
             caption="hatched edges are clamped",
             brick_widths=(0.5, 1.0),
         ),
+        # A simple support that gives way across the plate.
+        "W": EdgeCondition("", ("v", "phi_y"), ("u", "phi_x"), ("w",)),
         # Clamps that give way: in rotation, in translation, in everything.
         "R": EdgeCondition("", ("u", "v", "w"), ("u", "v", "w"), ("phi_x", "phi_y"), is_clamp=True),
         "T": EdgeCondition("", ("phi_x", "phi_y"), ("phi_x", "phi_y"), ("u", "v", "w"), is_clamp=True),

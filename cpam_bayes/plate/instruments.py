@@ -11,6 +11,7 @@ import io
 import math
 import re
 import warnings
+import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.plate.records import MeasuredShapes
 from cpam_bayes.plate.schema import MAX_FREQUENCIES
-from cpam_bayes.plate.text import Data, Problem, number, read_named_file, table
+from cpam_bayes.plate.text import Data, Problem, as_utf_8, number, read_named_file, table
 
 __all__ = [
     "MAX_UNIVERSAL_BYTES",
@@ -33,6 +34,7 @@ __all__ = [
     "SheetError",
     "UniversalFileError",
     "decode",
+    "delimited",
     "pyuff",
     "read_delimited",
     "read_sets",
@@ -42,9 +44,13 @@ __all__ = [
 ]
 
 
-_SEPARATORS: Final = ("\t", ";", ",", "|", " ")
+_SEPARATORS: Final = ("\t", ";", ",", "|", "  ", " ")
+# Two spaces or more: the heads of columns then may have one.
+_WIDE, _SPACES = re.compile(" {2,}"), ("  ", " ")
 _DECLARED: Final = "sep="
 _COMMENTS: Final = ("#", "%")
+# Spaces that do not break a line.
+_WIDTHS: Final = re.compile("[\N{NO-BREAK SPACE}\N{THIN SPACE}\N{NARROW NO-BREAK SPACE}]")
 # Heads stand in one of the first lines, and these are no longer than this.
 _LINES_ABOVE, _LONGEST_HEADS = 1000, 100_000
 
@@ -74,35 +80,47 @@ class SheetError(ValueError):
 # Rows and columns of a sheet that are read; more is no list of modes.
 _MOST_ROWS: Final = 10_000
 _MOST_COLUMNS: Final = 500
+# Bytes of an unpacked workbook: a small one may be made to fill the memory.
+_MOST_UNPACKED: Final = 50_000_000
 _ZIP, _OLD_EXCEL = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
 
 
-def sheets(content: bytes) -> tuple[str, ...]:
-    """The texts of the tables of a file: one of .csv, one a sheet of .xlsx, the sheet shown first.
+def sheets(content: bytes) -> Mapping[str, str]:
+    """The texts of the tables of a file: one of .csv, by "", one a sheet of .xlsx, by its name.
+
+    The sheet that was shown when it was saved comes first.
 
     raises SheetError for a workbook that cannot be read
     """
     if content.startswith(_OLD_EXCEL):
         raise SheetError("an .xls file or one with a password, accepted: .xlsx or .csv")
     if not content.startswith(_ZIP):
-        return (decode(content),)
+        return {"": decode(content)}
     try:
         import openpyxl  # for workbooks alone
     except ImportError:
         raise SheetError("a workbook, which openpyxl reads: install openpyxl, or save it as .csv") from None
     try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            unpacked = sum(part.file_size for part in archive.infolist())
+        if unpacked > _MOST_UNPACKED:
+            raise SheetError(f"too large, {unpacked} bytes unpacked, accepted: up to {_MOST_UNPACKED}")
         book = openpyxl.load_workbook(io.BytesIO(content), read_only=True, data_only=True)
         shown = sorted(book.worksheets, key=lambda sheet: sheet is not book.active)
-        found = [
-            sheet.iter_rows(max_row=_MOST_ROWS, max_col=_MOST_COLUMNS, values_only=True) for sheet in shown
-        ]
-        return tuple("\n".join("\t".join(map(_cell, row)) for row in rows) for rows in found)
+        found = [sheet.iter_rows(max_row=_MOST_ROWS, max_col=_MOST_COLUMNS) for sheet in shown]
+        texts = ("\n".join("\t".join(map(_cell, row)) for row in rows) for rows in found)
+        return dict(zip((str(sheet.title) for sheet in shown), texts, strict=True))
+    except SheetError:
+        raise
     except Exception:  # noqa: BLE001 - openpyxl and zipfile raise many kinds for what is no workbook
         raise SheetError("no workbook that can be read, accepted: .xlsx or .csv") from None
 
 
-def _cell(value: Any) -> str:
-    """The text of a cell of a sheet; numbers without the rounding of a computed one."""
+def _cell(cell: Any) -> str:
+    """The text of a cell of a sheet; numbers without the rounding of a computed one, in per cent if so."""
+    value = cell.value
+    if isinstance(value, int | float) and "%" in cell.number_format:
+        return f"{100.0 * value:.12g}%"
     if value is None:
         return ""
     if isinstance(value, float):
@@ -112,9 +130,8 @@ def _cell(value: Any) -> str:
 
 
 def decode(content: bytes) -> str:
-    """The text of a file that a spreadsheet saved: UTF-8, UTF-16 with its mark, or Windows-1252."""
-    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return content.decode("utf-16", errors="replace")
+    """The text of a file that a spreadsheet saved: UTF-8, UTF-16, or Windows-1252."""
+    content = as_utf_8(content)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -122,9 +139,15 @@ def decode(content: bytes) -> str:
 
 
 def read_delimited(text: str, is_header: Callable[[Sequence[str]], bool]) -> Delimited | None:
-    """The table of a text from its first line of heads on; None where the first 1000 lines have none.
+    """The table of a text from its first line of heads on; None where the first 1000 lines have none."""
+    return next(delimited(text, is_header), None)
 
-    Empty lines and comments (# or %) are passed over, and a line "sep=;" says the separator.
+
+def delimited(text: str, is_header: Callable[[Sequence[str]], bool]) -> Iterator[Delimited]:
+    """The tables that begin with each line of heads among the first 1000 of a text.
+
+    Empty lines, lines of dashes and comments (# or %) are passed over, and a line "sep=;" says the
+    separator. A line with any other separator is not split at spaces.
 
     is_header : whether cells are the heads of the table that is looked for
     """
@@ -137,11 +160,15 @@ def read_delimited(text: str, is_header: Callable[[Sequence[str]], bool]) -> Del
             separators = (line.strip()[len(_DECLARED)],)
             continue
         for separator in separators:
+            if separator in _SPACES and any(other in line for other in _SEPARATORS if other not in _SPACES):
+                continue
             heads = _cells(line, separator)
-            if is_header(heads):
+            # words of one head may stand apart by as many spaces as heads do
+            below = next(_rows(lines, i + 1, separator, 0), None) if separator == " " else None
+            if is_header(heads) and (below is None or len(below.cells) == len(heads)):
                 rows = tuple(_rows(lines, i + 1, separator, len(heads)))
-                return Delimited(i + 1, tuple(heads), rows, separator)
-    return None
+                yield Delimited(i + 1, tuple(heads), rows, separator)
+                break
 
 
 def _rows(lines: Sequence[str], first: int, separator: str, n_columns: int) -> Iterator[Row]:
@@ -149,8 +176,10 @@ def _rows(lines: Sequence[str], first: int, separator: str, n_columns: int) -> I
         if not line:
             continue
         cells = _cells(line, separator)
-        if not any(cells) or line.lstrip().startswith(_COMMENTS):
+        if not re.search(r"\w", line) or not any(cells) or line.lstrip().startswith(_COMMENTS):
             continue
+        if separator == "  " and len(cells) != n_columns:
+            cells = _cells(line, " ")
         yield Row(at, (*cells, *[""] * (n_columns - len(cells))))
 
 
@@ -158,10 +187,12 @@ def _cells(line: str, separator: str) -> list[str]:
     # spaces at the ends of a line separate nothing, tabs there are empty cells
     stripped = line.strip(" \r\n")
     try:
+        if separator == "  ":
+            return _WIDE.split(stripped)
         split = next(csv.reader([stripped], delimiter=separator, skipinitialspace=True), [])
     except csv.Error:  # a line without an end to its quotes or cells
         return []
-    cells = [cell.strip() for cell in split]
+    cells = [_WIDTHS.sub(" ", cell).strip() for cell in split]
     while cells and not cells[-1]:
         cells.pop()
     return cells

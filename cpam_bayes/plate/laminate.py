@@ -16,8 +16,8 @@ The symmetry of a ply says which constants it has and what they must satisfy:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, Literal, TypeAlias, TypeVar
 
@@ -82,6 +82,14 @@ class PlyStack:
         """
         first, second = (float(np.diff(self.interfaces**k) @ self.density) / k for k in (2, 3))
         return first, 12.0 * second
+
+    def reordered(self, order: Sequence[int]) -> PlyStack:
+        """The plies of these positions, bottom to top, filling the thickness; the mean density stays."""
+        at = list(order)
+        thickness = np.diff(self.interfaces)[at] / np.diff(self.interfaces)[at].sum()
+        density = self.density[at] / (self.density[at] @ thickness)
+        interfaces = np.concatenate(([0.0], np.cumsum(thickness))) - 0.5
+        return replace(self, interfaces=interfaces, material=self.material[at], density=density)
 
 
 def equal_plies(n: int) -> PlyStack:

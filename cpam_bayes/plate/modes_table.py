@@ -1,4 +1,4 @@
-"""Tables of measured modes, long or wide: rows of hits, and one frequency a mode with its scatter.
+"""Tables of measured modes, long or wide, as rows of hits.
 
 Tables are as instruments and spreadsheets write them: any separator, decimal points or commas, lines above
 the heads. What is wrong is said by line and column.
@@ -7,44 +7,45 @@ the heads. What is wrong is said by line and column.
 from __future__ import annotations
 
 import difflib
+import itertools
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.stats import norm, t
 
-from cpam_bayes.plate.instruments import Delimited, Row, SheetError, read_delimited, sheets
-from cpam_bayes.plate.schema import MAX_FREQUENCIES
-from cpam_bayes.plate.text import Data, Problem, number, read_named_file, received, table
+from cpam_bayes.plate.instruments import Delimited, Row, SheetError, delimited, sheets
+from cpam_bayes.plate.text import and_more, received
 
 __all__ = [
     "COLUMNS",
     "Hit",
     "ModesTable",
     "TableProblem",
-    "modes_of",
+    "is_texts",
+    "once",
     "read_modes_table",
-    "small_sample_factor",
-    "table_of",
+    "read_sheets",
 ]
 
 
 _HEADS: Final = """
-mode: mode, mode number, mode no, no, nr, #, modus, eigenmode, eigenform, moden, ordnung, ordre, modo, n°
+mode: mode, mode number, mode no, no, nr, #, modus, eigenmode, eigenform, moden, ordnung, ordre, modo, n°, mod
+mode: modennummer, modusnummer, moden-nr, mode nr, mode n°, n° mode, número de modo, numero modo, nummer
 label: label, mode label, bezeichnung
 hz: hz, frequency, freq, natural frequency, natural freq, eigenfrequency, resonance frequency, f, fn, frequenz
 hz: eigenfrequenz, resonanzfrequenz, fréquence, frequence, fréquence propre, frecuencia, frecuencia natural
-hz: frequenza, frequenza propria, frequência, frequentie, częstotliwość, частота, 频率, 周波数
+hz: frequenza, frequenza propria, frequenza naturale, frequência, frequência natural, frequentie, frekans
+hz: eigenfrequentie, częstotliwość, częstotliwość własna, frekvens, egenfrekvens, частота, 频率, 周波数
 hit: hit, repeat, tap, run, trial, impact, measurement, schlag, messung, anschlag, versuch, coup, essai
 hit: mesure, golpe, ensayo, medición, colpo, prova, misura, slag, meting
 sd: sd, std, std dev, stdev, standard deviation, standardabweichung, stabw, écart-type, ecart-type, ecart type
-damping: damping, damping ratio, zeta, dämpfung, dämpfungsgrad, amortissement, smorzamento
+damping: damping, damping ratio, zeta, dämpfung, dämpfungsgrad, lehrsche dämpfung, amortissement, smorzamento
+damping: amortiguamiento, amortecimento, demping, dämpning, tłumienie
 weight: weight, gewicht, poids
 height: height, peak height, höhe, hauteur, signal to noise, snr
 """
@@ -61,20 +62,51 @@ _UNITS: Final[Mapping[str, Mapping[str, float]]] = {
     "sd": {"": 1.0, "hz": 1.0, "khz": 1e3},
     "damping": {"": 1.0, "-": 1.0, "1": 1.0, "%": 0.01},
 }
+# Heads of the specimen that a row is of.
+_SPECIMEN: Final = (
+    *(
+        "plate",
+        "panel",
+        "specimen",
+        "sample",
+        "coupon",
+        "platte",
+        "probe",
+        "probekörper",
+        "prüfkörper",
+        "plaque",
+    ),
+    *("éprouvette", "échantillon", "placa", "probeta", "piastra", "provino", "plaat", "próbka"),
+)
 _BRACKETS: Final = re.compile(r"^(.*?)\s*[\[(]\s*(.*?)\s*[\])]$")
 _KNOWN: Final = {head: name for name, heads in COLUMNS.items() for head in heads}
-_NUMBER: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
+# A number, with marks between thousands where these cannot be a decimal mark, and perhaps a unit.
+_NUMBER: Final = re.compile(
+    r"([+-]?(?:\d{1,3}(?:[ '\u2019]\d{3})+(?:[.,]\d+)?|\d{1,3}(?:\.\d{3})+,\d+|\d{1,3}(?:,\d{3})+\.\d+"
+    r"|\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?) ?(hz|khz|%)?",
+    re.IGNORECASE,
+)
+# As many digits after a mark as thousands have.
+_THOUSANDS: Final = re.compile(r"[1-9]\d{0,2}[.,]\d{3}")
+ASTRAY: Final = 1.2
+"""Hits further than this factor from the median of their mode are misread, or of another mode."""
 _MOST_PROBLEMS: Final = 100
 _LONGEST: Final = 200
 
 
 @dataclass(frozen=True, slots=True)
 class TableProblem:
-    """One thing that is wrong with a table: the line, 0 for the whole, the column, "" for all, and what."""
+    """One thing that is wrong with a table: the line, 0 for the whole, the column, "" for all, and what.
+
+    kind : of what is said once of a column, "" of what stands for itself
+    choices : heads that may be those of the frequencies
+    """
 
     line: int
     column: str
     what: str
+    kind: str = ""
+    choices: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         """The place and the phrase that says it all."""
@@ -129,10 +161,16 @@ def read_modes_table(
     named : column -> its heads in this table, where they are not what `COLUMNS` has
     """
     given = {head.casefold(): name for name, heads in (named or {}).items() for head in heads}
+    is_named = "hz" in given.values()
 
     def columns_of(heads: Sequence[str], *, guess: bool = True) -> list[tuple[str, str]]:
         """The columns of a line of heads; guess : one alone in Hz that is not known has the frequencies."""
         found = [(given[h.casefold()], _split(h)[1]) if h.casefold() in given else _column(h) for h in heads]
+        if is_named:
+            other = [
+                name == "hz" and h.casefold() not in given for h, (name, _) in zip(heads, found, strict=True)
+            ]
+            found = [("", "") if is_other else c for is_other, c in zip(other, found, strict=True)]
         # a head with a separator is a line that another one divides, one with digits a line above
         in_hz = [i for i, h in enumerate(heads) if _IN_HZ.fullmatch(h)]
         if guess and len(in_hz) == 1 and not any(name == "hz" for name, _ in found):
@@ -145,16 +183,24 @@ def read_modes_table(
         in_hz = any(name == "hz" for name, _ in columns_of(heads, guess=guess))
         return _wide(heads) is not None or (in_hz and not any(map(_NUMBER.fullmatch, heads)))
 
-    found = read_delimited(text, is_header) or read_delimited(text, partial(is_header, guess=True))
+    known, guessed = (delimited(text, partial(is_header, guess=guess)) for guess in (False, True))
+    candidates = list(itertools.islice(itertools.chain(known, guessed), _MOST_HEADS))
+    # a line above the heads may have words of theirs, but no numbers below them
+    found = next((one for one in candidates if _has_frequencies(one, columns_of(one.heads))), None)
+    found = found or next(iter(candidates), None)
     if found is None:
-        accepted = "a line of heads with a column hz, and mode or label; or a row a hit and a column a mode"
+        accepted = (
+            "a line of heads above the numbers with a column hz, and mode or label; or a row a hit and a "
+            "column a mode"
+        )
         if given:
             accepted = "heads that are in the table"
             return None, (TableProblem(0, "", f"no head of [measurement.columns], {accepted}"),)
-        cure = '; name it in [measurement.columns]: hz = "HEAD"'
-        return None, (TableProblem(0, "", f"no column of frequencies, accepted: {accepted}{cure}"),)
-    found = _with_units(found)
+        what = f"no column of frequencies, accepted: {accepted}; {_NAMED}"
+        return None, (TableProblem(0, "", what, choices=_numbered_columns(text)),)
+    found = _turned(_with_units(found))
     columns = columns_of(found.heads)
+    is_stated = any("hz" in head.casefold() for head in found.heads)
     several = [i for i, (name, _) in enumerate(columns) if name == "hz"] if given else []
     across = several if len(several) > 1 else None
     if across is None and not any(name == "hz" for name, _ in columns):
@@ -164,15 +210,21 @@ def read_modes_table(
     accepted = f"no such head, accepted: {', '.join(found.heads[:20])}"
     problems = [TableProblem(found.line, head, accepted) for head in absent]
     if across is not None:
+        problems += _of_specimens(found, [("hz", "") if i in across else c for i, c in enumerate(columns)])
         found, unequal = _long(found, across)
         if unequal is not None:
             return None, (unequal,)
         columns = [_column(head) for head in found.heads]
+    else:
+        found = _without_summaries(found, columns)
+        problems += _of_specimens(found, columns)
     problems += [*_of_heads(found, columns), *_of_cells(found, columns)]
+    if not problems:
+        problems = list(_doubts(found, columns, is_stated=is_stated, is_named=is_named))[:1]
     if not problems and not found.rows:
         problems = [TableProblem(found.line, "", "no rows below the heads, accepted: one a mode and hit")]
     if problems:
-        return None, tuple(problems[:_MOST_PROBLEMS])
+        return None, once(problems)
     names = tuple(name for name, _ in columns if name)
     unused = tuple(
         head
@@ -184,15 +236,67 @@ def read_modes_table(
     return ModesTable(hits, names, unused, _step(found, columns), unit), ()
 
 
+# What tells the column of the frequencies.
+_NAMED: Final = 'name it in [measurement.columns]: hz = "HEAD"'
+
+
+def _numbered_columns(text: str) -> tuple[str, ...]:
+    """The heads above numbers of a table none of whose columns is known as that of the frequencies."""
+
+    def is_header(heads: Sequence[str]) -> bool:
+        return len(heads) > 1 and not any(map(_NUMBER.fullmatch, heads))
+
+    for one in itertools.islice(delimited(text, is_header), _MOST_HEADS):
+        rows = [row.cells for row in one.rows[:_ROWS_TRIED] if len(row.cells) == len(one.heads)]
+        found = tuple(
+            head
+            for i, head in enumerate(one.heads)
+            if head
+            and head.isprintable()
+            and one.heads.count(head) == 1
+            and not _column(head)[0]
+            and any(_NUMBER.fullmatch(row[i]) for row in rows)
+        )
+        if found:
+            return found
+    return ()
+
+
+def once(problems: Sequence[TableProblem]) -> tuple[TableProblem, ...]:
+    """The problems, with one for all that are of a kind in a column."""
+    counts = Counter((p.column, p.kind) for p in problems)
+    first = {(p.column, p.kind) if p.kind else (p.column, p): p for p in reversed(problems)}
+    kept = [p for p in problems if p in first.values()][:_MOST_PROBLEMS]
+    return tuple(
+        replace(p, what=p.what + and_more(counts[p.column, p.kind] - 1 if p.kind else 0, "line"))
+        for p in kept
+    )
+
+
+def _has_frequencies(table: Delimited, columns: Sequence[tuple[str, str]]) -> bool:
+    """Whether a number stands below a head of frequencies, or beside one, in a row that fits the heads."""
+    at = _wide(table.heads) or [i for i, (name, _) in enumerate(columns) if name == "hz"]
+    rows = [row.cells for row in table.rows[:_ROWS_TRIED] if len(row.cells) == len(table.heads)]
+    return any(_NUMBER.fullmatch(row[i]) for row in rows for i in at)
+
+
+# No plate that is tapped has all its frequencies below this, Hz.
+_LOW: Final = 10.0
+# Lines that may be the heads, and rows below that show whether they are.
+_MOST_HEADS: Final = 20
+_ROWS_TRIED: Final = 100
 _IN_HZ: Final = re.compile(r"[^\d;,|\t\[(]+[\[(/ ]+k?hz[\])]?", re.IGNORECASE)
 # A column a mode: 1, mode 1, f1, f_1; a label of nodal lines; a column a hit: hit 1.
-_NUMBERED: Final = re.compile(r"(.*?)[ _.#]*([0-9]{1,3})\.?")
+_NUMBERED: Final = re.compile(
+    r"(?P<stem>.*?)[ _.#]*(?P<n>[0-9]{1,3})\.?|(?P<at>[0-9]{1,3})(?:st|nd|rd|th|er?|[ªº°])? (?P<of>\D+)"
+)
 _LABEL: Final = re.compile(r"\(\d+ ?[,;] ?\d+\)")
 # What a cell has where a hit does not show a mode, and rows that sum up those above.
 _NOT_SEEN: Final = ("-", "\N{EN DASH}", "n/a", "na", "nan", "#n/a", "#nv", "x", "?")
 _SUMMARY: Final = re.compile(
-    r"(mean|average|avg|mittel|moyenne|media|promedio|std|sd|stdev|stabw|standard|[ée]cart|min|max|median|cov)\b.*|"
-    r"mittelwert.*|standardabweichung.*|s\.?d\.?|\N{GREEK SMALL LETTER SIGMA}"
+    r"(mean|average|avg|mittel|moyenne|moy|m[ée]dia|promedio|gemiddelde|średnia|std|sd|stdev|stabw|"
+    r"standard|[ée]cart|min|max|median|cov|cv|vk|var|rsd|mw|range|spannweite|sum|summe|total)\b.*|mittelwert.*|"
+    r"standardabweichung.*|s\.?d\.?|[σμø]|\N{DIAMETER SIGN}|x̄|x̅"
 )
 
 
@@ -204,30 +308,69 @@ def _wide(heads: Sequence[str]) -> list[int] | None:
         return labelled
     series: dict[str, list[tuple[int, int]]] = {}
     for i, text in enumerate(texts):
-        match = _NUMBERED.fullmatch(text)
-        if match is not None:
-            series.setdefault(match[1], []).append((i, int(match[2])))
+        numbered = _numbered(text)
+        if numbered is not None:
+            series.setdefault(numbered[0], []).append((i, numbered[1]))
     for stem, found in series.items():
         known = stem == "" or _KNOWN.get(stem) in ("mode", "hz", "hit")
-        if known and len(found) > 1 and [number for _, number in found] == list(range(1, len(found) + 1)):
+        numbers = [number for _, number in found]
+        # numbers alone may be data; modes of a program may begin at 7, and lack some
+        counted = numbers == (sorted(set(numbers)) if stem else list(range(1, len(found) + 1)))
+        if known and len(found) > 1 and counted:
             return [i for i, _ in found]
     return None
+
+
+def _numbered(text: str) -> tuple[str, int] | None:
+    """The word and the number of a head such as mode 1, 1st mode or 1; None of any other."""
+    match = _NUMBERED.fullmatch(text)
+    if match is None:
+        return None
+    return (match["of"], int(match["at"])) if match["of"] else (match["stem"], int(match["n"]))
+
+
+def _turned(table: Delimited) -> Delimited:
+    """A table with a column a mode and a row a quantity, as one with a row a mode; any other as it is."""
+    across = _wide(table.heads)
+    rows = [row for row in table.rows if len(row.cells) == len(table.heads)]
+    if across is None:
+        return table
+    names = [" ".join(c for i, c in enumerate(row.cells) if i not in across and c) for row in rows]
+    hz = [i for i, name in enumerate(names) if _column(name)[0] == "hz" or _IN_HZ.fullmatch(name)]
+    if len(hz) != 1:
+        return table
+    first = "label" if _LABEL.fullmatch(table.heads[across[0]]) else "mode"
+    turned = (Row(rows[hz[0]].line, (table.heads[i], *(row.cells[i] for row in rows))) for i in across)
+    return replace(table, heads=(first, *names), rows=tuple(turned))
+
+
+def _without_summaries(table: Delimited, columns: Sequence[tuple[str, str]]) -> Delimited:
+    """The table without rows of means and scatter, which the first column, mode or hit say."""
+    at = [
+        i
+        for i, (name, _) in enumerate(columns)
+        if name in ("mode", "label", "hit") or (i == 0 and name != "hz")
+    ]
+    rows = (row for row in table.rows if not any(_SUMMARY.fullmatch(row.cells[i].casefold()) for i in at))
+    return replace(table, rows=tuple(rows))
 
 
 def _long(table: Delimited, across: Sequence[int]) -> tuple[Delimited, TableProblem | None]:
     """A wide table as a long one, and what cannot be; across : the columns with frequencies."""
     texts = [_split(head) for head in table.heads]
-    units = {texts[i][1] for i in across} - {""}
-    if len(units) > 1:
-        what = f"units {' and '.join(sorted(units))} beside each other, accepted: one of all modes"
-        return table, TableProblem(table.line, "", what)
-    stem = _NUMBERED.fullmatch(texts[across[0]][0])
-    by_hit = stem is not None and _KNOWN.get(stem[1]) == "hit"
     kinds = [_column(head)[0] for head in table.heads]
     key = next(
         (i for i, kind in enumerate(kinds) if i not in across and (kind in ("hit", "mode", "label"))), None
     )
-    labelled = stem is None
+    units = {texts[i][1] for i in across} - {""}
+    units |= {_split(row.cells[0])[1] for row in table.rows if 0 not in across} & {"hz", "khz"}
+    if len(units) > 1:
+        what = f"units {' and '.join(sorted(units))} beside each other, accepted: one of all modes"
+        return table, TableProblem(table.line, "", what)
+    numbered = [_numbered(texts[i][0]) for i in across]
+    stem = "" if numbered[0] is None else numbered[0][0]
+    by_hit = _KNOWN.get(stem) == "hit" or (_KNOWN.get(stem) != "mode" and _rows_agree(table, across))
+    labelled = numbered[0] is None
     rows = []
     for count, row in enumerate(table.rows, 1):
         beside = [cell for i, cell in enumerate(row.cells[: len(kinds)]) if i not in across]
@@ -237,10 +380,9 @@ def _long(table: Delimited, across: Sequence[int]) -> tuple[Delimited, TableProb
             rows.append(row)  # refused with its line
             continue
         own = row.cells[key] if key is not None and row.cells[key] else str(count)
-        for at, i in enumerate(across, 1):
-            cell = "" if row.cells[i].casefold() in _NOT_SEEN else row.cells[i]
-            other = table.heads[i] if labelled else str(at)
-            rows.append(Row(row.line, (own, other, cell) if by_hit else (other, own, cell)))
+        for i, counted in zip(across, numbered, strict=True):
+            other = table.heads[i] if counted is None else str(counted[1])
+            rows.append(Row(row.line, (own, other, row.cells[i]) if by_hit else (other, own, row.cells[i])))
     hz = f"hz [{units.pop()}]" if units else "hz"
     first = (
         "label"
@@ -250,15 +392,33 @@ def _long(table: Delimited, across: Sequence[int]) -> tuple[Delimited, TableProb
     return replace(table, heads=(first, "hit", hz), rows=tuple(rows)), None
 
 
+def _rows_agree(table: Delimited, across: Sequence[int]) -> bool:
+    """Whether the numbers of each row are hits of one mode, and those of a column are not."""
+    cells = [[row.cells[i] for i in across] for row in table.rows if len(row.cells) == len(table.heads)]
+    if len(cells) < 2:
+        return False
+    f = np.array([[_number(c) if _NUMBER.fullmatch(c) else np.nan for c in row] for row in cells])
+    f = f[np.isfinite(f).any(axis=1)]
+    f = f[:, np.isfinite(f).any(axis=0)]
+    if len(f) < 2 or not np.all(f[np.isfinite(f)] > 0.0):
+        return False
+    in_rows, in_columns = (np.nanmax(f, axis=i) / np.nanmin(f, axis=i) for i in (1, 0))
+    return bool(np.all(in_rows < ASTRAY) and np.any(in_columns > ASTRAY))
+
+
 def _with_units(table: Delimited) -> Delimited:
     """The table with the units of a line below the heads in these."""
     if not table.rows:
         return table
     units = [cell.casefold().strip("[]() ") for cell in table.rows[0].cells]
-    if not {"hz", "khz"} & set(units) or any(unit not in ("", "hz", "khz", "%", "-", "1") for unit in units):
+    units[0] = units[0] if units[0] in _UNIT_CELLS else ""
+    if not {"hz", "khz"} & set(units) or any(unit not in _UNIT_CELLS for unit in units):
         return table
     heads = tuple(f"{h} [{u}]" if u else h for h, u in zip(table.heads, units, strict=False))
     return replace(table, heads=heads, rows=table.rows[1:])
+
+
+_UNIT_CELLS: Final = ("", "hz", "khz", "%", "-", "1")
 
 
 def _split(head: str) -> tuple[str, str]:
@@ -286,8 +446,11 @@ def _of_heads(table: Delimited, columns: Sequence[tuple[str, str]]) -> list[Tabl
     problems = []
     names = [name for name, _ in columns]
     for i, (head, (name, unit)) in enumerate(zip(table.heads, columns, strict=True)):
-        if name and name in names[:i]:
-            problems.append(TableProblem(table.line, head, f"a second column {name}, accepted: one"))
+        if name and name in names[:i] and len(set(names[:i])) == i:  # of two tables side by side one is said
+            of_name = tuple(h for h, (n, _) in zip(table.heads, columns, strict=True) if n == name == "hz")
+            is_choice = len(set(of_name)) == len(of_name) > 1
+            what = f"a second column {name}, accepted: one{f'; {_NAMED}' if is_choice else ''}"
+            problems.append(TableProblem(table.line, head, what, choices=of_name if is_choice else ()))
         if name in _UNITS and unit not in _UNITS[name]:
             accepted = " ".join(u for u in _UNITS[name] if u) or "none"
             problems.append(TableProblem(table.line, head, f"unknown unit {unit}, accepted: {accepted}"))
@@ -307,17 +470,22 @@ def _of_cells(table: Delimited, columns: Sequence[tuple[str, str]]) -> list[Tabl
     for row in table.rows:
         if len(row.cells) > len(columns):
             many = f"{len(row.cells)} cells for {len(columns)} columns"
-            cure = "; decimal commas need another separator, such as ;" if table.separator == "," else ""
-            problems.append(TableProblem(row.line, "", f"{many}, accepted: one for each head{cure}"))
+            cure = "; decimal commas need another separator, such as ';'" if table.separator == "," else ""
+            problems.append(TableProblem(row.line, "", f"{many}, accepted: one for each head{cure}", "many"))
             continue
         for cell, head, (name, unit) in zip(row.cells, table.heads, columns, strict=True):
             wrong = _wrong(cell, name, unit)
             if wrong:
-                problems.append(TableProblem(row.line, head, wrong))
+                problems.append(TableProblem(row.line, head, wrong[1], wrong[0]))
+            elif name in ("mode", "label", "hit") and table.separator != ";" and ";" in cell:
+                accepted = f"the separator of the heads, {table.separator}, below them too"
+                what = f"not parted, received {received(cell)}, accepted: {accepted}"
+                problems.append(TableProblem(row.line, head, what, "separator"))
             elif name in _ACCEPTED:
-                for mark in set(cell) & {".", ","}:
+                mark = next((c for c in reversed(cell) if c in ".,"), "")
+                if mark:
                     marks.setdefault(mark, (row.line, head, cell))
-    if len(marks) == 2:
+    if len(marks) == 2 and not problems:
         line, head, cell = max(marks.values())
         other = min(marks.values())
         problems.append(
@@ -340,24 +508,93 @@ _ACCEPTED: Final[Mapping[str, str]] = {
 }
 
 
-def _wrong(cell: str, name: str, unit: str) -> str:
-    """The problem with a cell, "" for none."""
+def _wrong(cell: str, name: str, unit: str) -> tuple[str, str] | None:
+    """The kind of the problem with a cell, and what it is."""
     if not (cell.isprintable() and len(cell) <= _LONGEST):
-        return f"not a text that can be shown, accepted: up to {_LONGEST} printable characters"
-    if name not in _ACCEPTED or not cell:
-        return ""
+        return "text", f"not a text that can be shown, accepted: up to {_LONGEST} printable characters"
+    if name not in _ACCEPTED or _is_empty(cell):
+        return None
     accepted = _ACCEPTED[name]
-    if not _NUMBER.fullmatch(cell):
-        return f"not a number, received {received(cell)}, accepted: {accepted}"
-    value = _number(cell) * _UNITS.get(name, {}).get(unit, 1.0)
+    match = _NUMBER.fullmatch(cell)
+    if not match or (match[2] and match[2].casefold() not in _UNITS.get(name, {})):
+        return "number", f"not a number, received {received(cell)}, accepted: {accepted}"
+    value = _number(cell, name, unit)
     least_holds = value >= 0.0 if name in ("damping", "weight") else value > 0.0
     if not (least_holds and math.isfinite(value) and (name != "damping" or value < 1.0)):
-        return f"out of range, received {cell}, accepted: {accepted}"
-    return ""
+        return "range", f"out of range, received {cell}, accepted: {accepted}"
+    return None
 
 
-def _number(cell: str) -> float:
-    return float(cell.replace(",", "."))
+def _is_empty(cell: str) -> bool:
+    return not cell or cell.casefold() in _NOT_SEEN
+
+
+def _number(cell: str, name: str = "", unit: str = "") -> float:
+    """The value of a cell in the unit of its column, by the unit beside it or in the head."""
+    match = _NUMBER.fullmatch(cell)
+    assert match is not None
+    *whole, part = re.split("[.,]", re.sub("[ '\u2019]", "", match[1]))
+    value = float(f"{''.join(whole)}.{part}" if whole else part)
+    return value * _UNITS.get(name, {}).get((match[2] or unit).casefold(), 1.0)
+
+
+def _doubts(
+    table: Delimited, columns: Sequence[tuple[str, str]], *, is_stated: bool, is_named: bool
+) -> Iterator[TableProblem]:
+    """What frequencies may be that are not as they seem: above a thousand, in kHz, cut at commas, widths.
+
+    is_named : whether the plate file says which column they are
+    """
+    at = next(i for i, (name, _) in enumerate(columns) if name == "hz")
+    rows = [row.cells for row in table.rows if not _is_empty(row.cells[at])]
+    cells, unit = [row[at] for row in rows], columns[at][1]
+    if not rows:
+        return
+    here = partial(TableProblem, table.line, table.heads[at])
+    f = np.array([_number(cell, "hz", unit) for cell in cells])
+    marked = np.array([bool(set(cell) & {".", ","}) for cell in cells])
+    as_thousands = all(_THOUSANDS.fullmatch(cell) for cell, mark in zip(cells, marked, strict=True) if mark)
+    spans = np.ptp(np.log(f)), np.ptp(np.log(np.where(marked, 1e3 * f, f)))
+    if as_thousands and marked.any() and spans[0] > spans[1]:
+        accepted = "accepted: no mark between thousands"
+        yield here(f"a decimal mark or one between thousands, received {', '.join(cells[:3])}, {accepted}")
+    elif np.array_equal(f, np.arange(1.0, len(f) + 1.0)) and len(f) > 1:
+        yield here(
+            f"the numbers of modes, received {', '.join(cells[:3])}, accepted: frequencies; swapped heads?"
+        )
+    elif f.max() < _LOW and (not is_stated or (as_thousands and marked.all() and unit != "khz")):
+        accepted = "accepted: a unit in the head, Hz or kHz, and no mark between thousands"
+        yield here(f"too low for a plate in Hz, received {', '.join(cells[:3])}, {accepted}")
+    # whole numbers beside whole frequencies, and nothing behind: decimal parts are likelier than counts
+    beside = {row[at + 1] for row in rows} if columns[at + 1 :] else set()
+    if (
+        table.separator == ","
+        and len(beside) > 1
+        and columns[at + 1][0] in ("", "damping", "sd")
+        and all(cell.isdecimal() for cell in (*cells, *beside))
+        and max(map(len, beside)) <= 3
+        and not any(any(row[at + 2 :]) for row in rows)
+    ):
+        accepted = f"accepted: ; between cells, or {cells[0]}.0 where frequencies are whole"
+        yield here(f"are these decimal commas? received {cells[0]},{rows[0][at + 1]}, two cells; {accepted}")
+    if _column(table.heads[at])[0] != "hz" and not is_named:  # taken for its unit, which widths have too
+        for i, head in enumerate(table.heads):
+            numbers = [row[i] for row in rows if _NUMBER.fullmatch(row[i])]
+            larger = len(numbers) == len(rows) and bool(np.all(np.array(list(map(_number, numbers))) > f))
+            if larger and not columns[i][0] and not _split(head)[1]:
+                cure = f'[measurement.columns] with hz = "{head}", or another head'
+                yield here(f"the frequencies, or {head}? accepted: {cure}", choices=(table.heads[at], head))
+
+
+def _of_specimens(table: Delimited, columns: Sequence[tuple[str, str]]) -> list[TableProblem]:
+    """Rows of several plates, which are no hits of one."""
+    for i, head in enumerate(table.heads):
+        names = list(dict.fromkeys(row.cells[i] for row in table.rows if row.cells[i]))
+        if not columns[i][0] and _split(head)[0] in _SPECIMEN and len(names) > 1:
+            what = f"several plates, received {', '.join(names[:4])}, accepted: a table for each"
+            cure = f'; if these are hits of one, [measurement.columns] has hit = "{head}"'
+            return [TableProblem(table.line, head, what + cure)]
+    return []
 
 
 def _hit(row: Row, columns: Sequence[tuple[str, str]]) -> Hit:
@@ -366,8 +603,8 @@ def _hit(row: Row, columns: Sequence[tuple[str, str]]) -> Hit:
     for cell, (name, unit) in zip(row.cells, columns, strict=True):
         if name in texts:
             texts[name] = cell
-        elif name and cell:
-            values[name] = _number(cell) * _UNITS.get(name, {}).get(unit, 1.0)
+        elif name and not _is_empty(cell):
+            values[name] = _number(cell, name, unit)
     return Hit(
         row.line,
         **texts,
@@ -382,310 +619,26 @@ def _hit(row: Row, columns: Sequence[tuple[str, str]]) -> Hit:
 def _step(table: Delimited, columns: Sequence[tuple[str, str]]) -> float:
     """The step of the last digit that the frequencies are written with, Hz."""
     at = next(i for i, (name, _) in enumerate(columns) if name == "hz")
-    parts = [re.split(r"[.,]", row.cells[at]) for row in table.rows if row.cells[at]]
-    decimals = max((len(part[1]) for part in parts if len(part) == 2 and part[1].isdigit()), default=0)
+    numbers = (_NUMBER.fullmatch(row.cells[at]) for row in table.rows)
+    parts = [re.split(r"[.,]", number[1]) for number in numbers if number]
+    decimals = max((len(part[-1]) for part in parts if len(part) > 1 and part[-1].isdigit()), default=0)
     return float(10.0**-decimals * _UNITS["hz"][columns[at][1]])
 
 
-Array = NDArray[Any]
-
-# Probability below the upper end of an interval of 95 %.
-_UPPER: Final = 0.975
-# Hits further than this factor from the median of their mode are misread, or of another mode.
-_ASTRAY: Final = 1.2
-# Damping above this is more than a composite plate has, 0.0005 to 0.03.
-_MUCH_DAMPING: Final = 0.05
-
-
-@dataclass(frozen=True, slots=True)
-class TableModes:
-    """The modes of a table, ascending.
-
-    frequencies : (n,) Hz, means over hits
-    sd : (n,) Hz of a single hit; None where nothing tells it
-    labels : "" where there is none
-    damping : (n,) ratios, nan where there is none; None where no mode has one
-    hits : (n,) that a mode was seen in
-    left_out : modes that no row with a weight has, as they are named
-    unused : heads of the columns that are not read
-    remarks : what may be a slip, a sentence each
-    """
-
-    frequencies: Array
-    sd: Array | None
-    labels: tuple[str, ...]
-    damping: Array | None
-    hits: Array
-    left_out: tuple[str, ...]
-    unused: tuple[str, ...]
-    remarks: tuple[str, ...]
-
-    def fields(self, name: str) -> dict[str, Any]:
-        """The fields of a `Measurement` that the table gives; name : of the table, as in the plate file."""
-        return {
-            "frequencies": self.frequencies,
-            "frequency_sd": self.sd,
-            "labels": self.labels,
-            "damping": self.damping,
-            "origin": f"{name}: {self.origin}",
-            "remarks": tuple(f"{name}: {remark}" for remark in self.remarks),
-        }
-
-    @property
-    def origin(self) -> str:
-        """The origin of the frequencies, in words."""
-        fewest, most = int(self.hits.min()), int(self.hits.max())
-        span = f"{most}" if fewest == most else f"{fewest} to {most}"
-        said = ["one hit a mode" if most == 1 else f"means of {span} hits a mode"]
-        if self.left_out:
-            said.append(f"left out: {', '.join(self.left_out)}")
-        if self.unused:
-            said.append(f"columns not used: {', '.join(self.unused)}")
-        return "; ".join(said)
-
-
-@dataclass(frozen=True, slots=True)
-class _Mode:
-    """A mode with its rows; mean, variance : of a single hit, nan for one hit; freedom : of the variance."""
-
-    name: str
-    label: str
-    rows: tuple[Hit, ...]
-    mean: float
-    variance: float
-    freedom: float
-    stated: float
-
-
-def small_sample_factor(freedom: float) -> float:
-    """By what a standard deviation from few hits is enlarged, t_{0.975}(freedom) / 1.96.
-
-    A normal density with the enlarged one has the 95 % interval of Student's t, which is that of a further
-    hit when the standard deviation itself is estimated (Gelman et al., Bayesian Data Analysis, section 3.2).
-    """
-    return float(t.ppf(_UPPER, freedom) / norm.ppf(_UPPER))
-
-
-def modes_of(
-    table: ModesTable, *, complete: bool, least: float = 0.0
-) -> tuple[TableModes | None, tuple[TableProblem, ...]]:
-    """One frequency a mode with the scatter of its hits, or everything that is wrong.
-
-    The scatter is that of a single hit, as what all hits share is not in it, enlarged by
-    `small_sample_factor`; of a mode with one hit it is the relative scatter of all others together. It is no
-    less than the rounding of the table, nor than the mean of stated standard deviations, nor than ``least``.
-
-    complete : whether modes that are left out in between are refused
-    least : what a standard deviation is at least, as a fraction of the frequency
-    """
-    groups, problems = _grouped(table)
-    problems += [problem for name, rows in groups for problem in _astray(table, name, rows)]
-    modes = [_mode(name, rows) for name, rows in groups]
-    used = sorted((mode for mode in modes if mode.rows), key=lambda mode: mode.mean)
-    if not problems and not used:
-        problems.append(TableProblem(0, "", "no frequency with a weight above 0, accepted: at least one"))
-    if problems:
-        return None, tuple(problems)
-    if len(used) > MAX_FREQUENCIES:
-        what = f"too many modes, received {len(used)}, accepted: up to {MAX_FREQUENCIES}"
-        return None, (TableProblem(0, "", what),)
-    gaps = _gaps(table, groups, used) if complete else []
-    if gaps:
-        return None, tuple(gaps)
-    sd = _scatter(used, table.step)
-    if sd is not None:
-        sd = np.maximum(sd, least * np.array([mode.mean for mode in used]))
-    if sd is not None and not np.all(np.isfinite(sd)):
-        lines = [mode.rows[0].line for mode, one in zip(used, sd, strict=True) if not np.isfinite(one)]
-        what = "missing, accepted: one for each mode, as others have one"
-        return None, tuple(TableProblem(line, "sd", what) for line in lines)
-    damping = np.array([_mean_damping(mode.rows) for mode in used])
-    return TableModes(
-        frequencies=np.array([mode.mean for mode in used]),
-        sd=sd,
-        labels=tuple(mode.label for mode in used),
-        damping=None if np.all(np.isnan(damping)) else damping,
-        hits=np.array([len(mode.rows) for mode in used]),
-        left_out=tuple(mode.name for mode in modes if not mode.rows),
-        unused=table.unused,
-        remarks=(*_rounded(used, least), *_damped(damping, table.damping_unit)),
-    ), ()
-
-
-def _astray(table: ModesTable, name: str, every: Sequence[Hit]) -> list[TableProblem]:
-    """The hit of a mode that is furthest from the others, where it is none of this mode."""
-    rows = [row for row in every if row.hz is not None and row.weight > 0.0]
-    f = np.array([row.hz for row in rows])
-    if len(rows) < 2:
-        return []
-    away = np.abs(np.log(f / np.median(f)))
-    if away.max() <= np.log(_ASTRAY):
-        return []
-    at = int(np.argmax(away))
-    called = f"mode {name}" if "mode" in table.columns else name
-    hit = f", hit {rows[at].hit}" if rows[at].hit else ""
-    others = ", ".join(f"{value:g}" for value in np.delete(f, at)[:5])
-    what = (
-        f"{called}{hit}: received {f[at]:g} Hz beside {others} Hz, accepted: hits of one mode, which agree "
-        "to 20 %; correct it, or leave it out by a weight of 0"
-    )
-    return [TableProblem(rows[at].line, "hz", what)]
-
-
-def _rounded(modes: Sequence[_Mode], least: float) -> tuple[str, ...]:
-    """Repeats that are equal to the last digit, and nothing else that tells the scatter."""
-    repeated = [mode for mode in modes if mode.freedom > 0.0]
-    is_stated = least > 0.0 or any(np.isfinite(mode.stated) for mode in modes)
-    if is_stated or not repeated or any(mode.variance > 0.0 for mode in repeated):
-        return ()
-    return (
-        "the hits of each mode are equal to the last digit, so that they show the rounding alone and no "
-        "scatter; state relative_std in [measurement], 0.002 for a usual tap test, or write more digits",
-    )
-
-
-def _damped(damping: Array, unit: str) -> tuple[str, ...]:
-    """Damping that is more than a plate has: per cent read as ratios, most likely."""
-    most = float(np.max(damping, initial=0.0, where=np.isfinite(damping)))
-    if most <= _MUCH_DAMPING:
-        return ()
-    read = f"{100.0 * most:g} % of critical damping"
-    if unit != "%":
-        read = f"{most:g} is read as a ratio, {read}"
-    cure = "; if per cent is meant, the head is damping [%]" if unit in ("", "1", "-") else ""
-    return (f"damping up to {read}, where composite plates have 0.05 to 3 %{cure}",)
-
-
-def _grouped(table: ModesTable) -> tuple[list[tuple[str, tuple[Hit, ...]]], list[TableProblem]]:
-    """Rows by mode, or by label where there are no modes, and slips in them."""
-    by = "mode" if "mode" in table.columns else "label" if "label" in table.columns else ""
-    groups: dict[str, list[Hit]] = {}
-    seen: set[tuple[str, object]] = set()
-    labels_of: dict[str, set[str]] = {}
-    problems = []
-    for row in table.hits:
-        key = str(getattr(row, by)) if by else ""
-        if not key and by and "hit" in table.columns:
-            problems.append(TableProblem(row.line, by, f"missing, accepted: the {by} that was hit"))
-            continue
-        name = key or f"line {row.line}"
-        if row.hit and (name, row.hit) in seen:
-            problems.append(
-                TableProblem(row.line, "hit", f"hit {row.hit} of {by} {key} a second time, accepted: once")
-            )
-        seen.add((name, row.hit))
-        labels = labels_of.setdefault(name, set())
-        labels |= {row.label} - {""}
-        if len(labels) > 1:
-            problems.append(
-                TableProblem(row.line, "label", f"{by} {key} has the labels {' and '.join(sorted(labels))}")
-            )
-        groups.setdefault(name, []).append(row)
-    return [(key, tuple(rows)) for key, rows in groups.items()], problems
-
-
-def _mode(name: str, every: Sequence[Hit]) -> _Mode:
-    """Weighted mean and variance of a single hit, with as many degrees of freedom as the weights leave."""
-    rows = tuple(row for row in every if row.hz is not None and row.weight > 0.0)
-    label = next((row.label for row in every if row.label), "")
-    if not rows:
-        return _Mode(name, label, (), np.nan, np.nan, 0.0, np.nan)
-    f, w = np.array([row.hz for row in rows]), np.array([row.weight for row in rows])
-    mean = float(np.average(f, weights=w))
-    count = float(w.sum() ** 2 / np.sum(w**2))
-    freedom = count - 1.0 if len(rows) > 1 else 0.0
-    variance = float(np.average((f - mean) ** 2, weights=w) * count / freedom) if freedom > 0.0 else np.nan
-    stated = [row.sd for row in rows if row.sd is not None]
-    rms = float(np.sqrt(np.mean(np.square(stated)))) if stated else np.nan
-    return _Mode(name, label, rows, mean, variance, freedom, rms)
-
-
-def _scatter(modes: Sequence[_Mode], step: float) -> Array | None:
-    """Standard deviation of a single hit, Hz, nan where nothing tells it; None where nothing tells any."""
-    freedom = np.array([mode.freedom for mode in modes])
-    mean, variance, stated = (
-        np.array([getattr(mode, name) for mode in modes]) for name in ("mean", "variance", "stated")
-    )
-    repeated = freedom > 0.0
-    sd = np.full(len(modes), np.nan)
-    for i in np.flatnonzero(repeated):
-        sd[i] = np.sqrt(variance[i]) * small_sample_factor(freedom[i])
-    if repeated.any():
-        whole = float(freedom[repeated].sum())
-        relative = np.sqrt(np.sum((freedom * variance / mean**2)[repeated]) / whole)
-        alone = ~repeated & np.isnan(stated)
-        sd[alone] = relative * mean[alone] * small_sample_factor(whole)
-        sd = np.where(np.isnan(sd), np.nan, np.maximum(sd, step / np.sqrt(12.0)))
-    sd = np.fmax(sd, stated)
-    return None if np.all(np.isnan(sd)) else sd
-
-
-def _gaps(
-    table: ModesTable, groups: Sequence[tuple[str, tuple[Hit, ...]]], used: Sequence[_Mode]
-) -> list[TableProblem]:
-    """Modes below the last one used that a complete list cannot lack."""
-    cure = "accepted: complete = false in [measurement], as the list then lacks a mode"
-    highest, seen = used[-1].mean, {mode.name for mode in used}
-    problems = []
-    for name, rows in groups:
-        known = [row.hz for row in rows if row.hz is not None]
-        if name not in seen and (not known or float(np.mean(known)) < highest):
-            called = f"mode {name}" if "mode" in table.columns else name
-            problems.append(TableProblem(rows[0].line, "hz", f"{called} is left out, {cure}"))
-    if "mode" in table.columns and all(name.isdecimal() for name, _ in groups):
-        numbers = sorted(int(name) for name, _ in groups)
-        absent = sorted(set(range(numbers[0], numbers[-1])) - set(numbers))
-        if absent:
-            listed = ", ".join(map(str, absent[:10]))
-            problems.append(TableProblem(0, "mode", f"the numbers lack {listed}, {cure}"))
-    return problems
-
-
-def _mean_damping(rows: Sequence[Hit]) -> float:
-    given = [(row.damping, row.weight) for row in rows if row.damping is not None]
-    if not given:
-        return float("nan")
-    ratio, weight = np.array(given).T
-    return float(np.average(ratio, weights=weight))
-
-
-_KEY = ("measurement", "table")
-
-
-def table_of(data: Data, directory: Path | None) -> tuple[TableModes | None, list[Problem]]:
-    """The modes of the table that a plate file names, and what is wrong with it, by line and column.
-
-    directory : where relative paths begin
-    """
-    measurement = table(data, "measurement")
-    name = measurement.get("table")
-    if not isinstance(name, str) or not name:
-        return None, []
-    content, unread = read_named_file(_KEY, name, directory, "a table of modes")
-    if content is None:
-        return None, unread
-    named = {
-        column: [heads] if isinstance(heads, str) else heads
-        for column, heads in table(data, "measurement", "columns").items()
-        if column in COLUMNS and (isinstance(heads, str) or is_texts(heads))
-    }
+def read_sheets(
+    content: bytes, named: Mapping[str, Sequence[str]] | None = None
+) -> tuple[ModesTable | None, tuple[TableProblem, ...], tuple[str, ...]]:
+    """The rows of the first sheet with a table of modes, what is wrong with it, further sheets with one."""
     try:
-        read = [read_modes_table(text, named) for text in sheets(content)]
+        read = {name: read_modes_table(text, named) for name, text in sheets(content).items()}
     except SheetError as error:
-        return None, [_located(name, TableProblem(0, "", str(error)))]
-    # the first sheet with a table of modes
-    rows, problems = next((found for found in read if found[0] is not None), read[0])
-    modes: TableModes | None = None
-    if rows is not None:
-        least = max(number(measurement, "relative_std") or 0.0, 0.0)
-        modes, problems = modes_of(rows, complete=measurement.get("complete") is not False, least=least)
-    return modes, [_located(name, problem) for problem in problems]
+        return None, (TableProblem(0, "", str(error)),), ()
+    # a table with something wrong is one: what is wrong with the whole is that there is none
+    tables = [name for name, (rows, problems) in read.items() if rows is not None or problems[0].line]
+    rows, problems = read[tables[0]] if tables else next(iter(read.values()))
+    return rows, problems, tuple(name for name in tables[1:] if read[name][0] is not None)
 
 
 def is_texts(value: object) -> bool:
     """Whether a value is a list of texts."""
     return isinstance(value, list) and all(isinstance(item, str) for item in value)
-
-
-def _located(name: str, problem: TableProblem) -> Problem:
-    return Problem(_KEY, f"{Path(name).name} {problem}")

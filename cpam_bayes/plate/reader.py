@@ -7,13 +7,14 @@ passed becomes records in SI.
 from __future__ import annotations
 
 import difflib
+import itertools
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
@@ -51,6 +52,7 @@ from cpam_bayes.plate.text import (
     Problem,
     decode,
     line_numbers,
+    nearest_file,
     parse,
     plate_file_error,
     read_regular_file,
@@ -58,6 +60,9 @@ from cpam_bayes.plate.text import (
     table,
     understood,
 )
+
+if TYPE_CHECKING:
+    from cpam_bayes.plate.stored_posterior import FormerPriors
 
 __all__ = [
     "PlateLike",
@@ -69,6 +74,8 @@ __all__ = [
     "read_specimen",
 ]
 
+# More than the same plate differs by when it is hung and tapped again, as a fraction.
+_MUCH_SCATTER: Final = 0.05
 # The angles of an isotropic plate's plies change nothing.
 _ISOTROPIC_LAYUP = "[0]"
 _NAMES: Final = (
@@ -120,9 +127,10 @@ def _as_of_a_file(value: Any) -> Any:
     return [_as_of_a_file(inner) for inner in value] if isinstance(value, list | tuple) else value
 
 
-def read_specimen(path_or_name: str) -> Specimen:
+def read_specimen(path_or_name: str, heads: Sequence[str] = ()) -> Specimen:
     """Read a plate file, or take a built-in specimen by its name.
 
+    heads : of the columns of its table that have the frequencies, as if [measurement.columns] said so
     A file that has the name of a built-in specimen is reached as "./NAME". Raises ``PlateFileError`` with
     all problems of the file at once.
     """
@@ -133,10 +141,31 @@ def read_specimen(path_or_name: str) -> Specimen:
         content = read_regular_file(path_or_name, source, "a plate file or a built-in specimen")
     except FileNotFoundError:
         raise PlateFileError(_unknown_name(path_or_name, source)) from None
-    return parse_specimen(decode(content, source), source, Path(path_or_name).parent)
+    path = Path(path_or_name)
+    try:
+        text = decode(content, source)
+        parse(text, source)
+    except PlateFileError:
+        if path.suffix.casefold() not in _OTHERS:
+            raise
+        raise PlateFileError(f"{source}: no plate file, received {path.suffix}, {_PLATE_FILE}") from None
+    return parse_specimen(text, source, path.parent, heads)
+
+
+# Endings of what is no plate file, whatever is in it.
+_OTHERS: Final = (
+    *(".csv", ".xlsx", ".xls", ".ods", ".pdf", ".doc", ".docx", ".json", ".yaml", ".yml", ".png", ".jpg"),
+    *(".wav", ".unv", ".uff", ".nc", ".msh", ".inp"),
+)
+_PLATE_FILE: Final = (
+    'accepted: a TOML text, as `cpam-bayes new FILE` writes; a list of frequencies is its table = "FILE"'
+)
 
 
 def _unknown_name(name: str, source: str) -> str:
+    beside = nearest_file(Path(name))
+    if beside:
+        return f"{source}: no such file, the nearest there is {beside}"
     names = builtin_names()
     folded = {known.casefold(): known for known in names}
     close = difflib.get_close_matches(name.casefold(), folded, n=3, cutoff=0.5)
@@ -180,35 +209,66 @@ def builtin_plates() -> tuple[Specimen, ...]:
     return tuple(builtin(name) for name in builtin_names())
 
 
-def parse_specimen(text: str, source: str, directory: Path | None = None) -> Specimen:
+def parse_specimen(
+    text: str, source: str, directory: Path | None = None, heads: Sequence[str] = ()
+) -> Specimen:
     """Read the text of a plate file.
 
     source : how messages name the file.
     directory : where its relative paths begin
+    heads : as of `read_specimen`
     raises PlateFileError with all problems, each with file, line and key
     """
-    return _checked_specimen(parse(text, source), source, directory, line_numbers(text))
+    data = parse(text, source)
+    if not data:
+        raise PlateFileError(f"{source}: nothing is in it, {_PLATE_FILE}")
+    return _checked_specimen(data, source, directory, line_numbers(text), heads)
 
 
 def _checked_specimen(
-    data: Mapping[str, Any], source: str, directory: Path | None, lines: Mapping[KeyPath, int]
+    data: Mapping[str, Any],
+    source: str,
+    directory: Path | None,
+    lines: Mapping[KeyPath, int],
+    heads: Sequence[str] = (),
 ) -> Specimen:
     """Check the content of a plate file; arguments and errors as `parse_specimen`.
 
     lines : where each key stands, empty for what was not read from a text
     """
     data, misspelt = respelt(understood(data))
+    if heads:
+        columns = {**table(data, "measurement", "columns"), "hz": list(heads)}
+        data = {**data, "measurement": {**table(data, "measurement"), "columns": columns}}
+    data, former, of_former = _with_former(data, directory)
     file, problems = validated(data)
     measured, file_problems = _measured(data, directory)
-    problems += relation_problems(data, directory) + file_problems
+    guessed = any(path[0] == "plate" and len(path) > 1 for path in misspelt)
+    problems += relation_problems(data, directory, sizes_known=not guessed) + file_problems
+    if of_former:  # what [material] lacks is what they were to tell
+        told = (p.path[0] == "material" and (p.is_gap or p.path[-1] == "symmetry") for p in problems)
+        problems = [p for p, is_told in zip(problems, told, strict=True) if not is_told] + of_former
     # a value under another name is in another unit, or of another kind, more often than not
     problems = [p for p in (problem.under(misspelt) for problem in problems) if p.path not in misspelt]
     problems += [
-        Problem(path, f"unknown key, the nearest known key is {key}") for path, key in misspelt.items()
+        Problem(path, f"unknown key, the nearest known key is {key}").under(misspelt)
+        for path, key in misspelt.items()
     ]
     if file is None or problems:
         raise plate_file_error(source, problems, lines)
-    return _specimen(file, source, directory, measured)
+    return _specimen(file, source, directory, measured, former)
+
+
+def _with_former(
+    data: dict[str, Any], directory: Path | None
+) -> tuple[dict[str, Any], Mapping[str, FormerPriors], list[Problem]]:
+    """The file with what it leaves to former posteriors, as of `with_former_posteriors`."""
+    material = table(data, "material")
+    if not any("posterior" in part for part in (material, *material.values()) if isinstance(part, dict)):
+        return data, {}, []
+    from cpam_bayes.plate.stored_posterior import with_former_posteriors  # for these plates alone
+
+    return with_former_posteriors(data, directory)
 
 
 def _measured(data: Mapping[str, Any], directory: Path | None) -> tuple[Mapping[str, Any], list[Problem]]:
@@ -217,7 +277,7 @@ def _measured(data: Mapping[str, Any], directory: Path | None) -> tuple[Mapping[
     fields: Mapping[str, Any] = {}
     problems: list[Problem] = []
     if measurement.get("table"):
-        from cpam_bayes.plate.modes_table import table_of  # for plates with a table alone
+        from cpam_bayes.plate.modes_of_hits import table_of  # for plates with a table alone
 
         of_table, problems = table_of(data, directory)
         fields = {} if of_table is None else of_table.fields(str(measurement["table"]))
@@ -237,7 +297,7 @@ def _measured(data: Mapping[str, Any], directory: Path | None) -> tuple[Mapping[
 
 def _rows_by_hand(measurement: Mapping[str, Any], listed: object) -> Iterator[Problem]:
     """Numbers of frequencies that the list has not, and a list of which nothing is left."""
-    if not isinstance(listed, list | np.ndarray):
+    if not isinstance(listed, list | np.ndarray) or not len(listed):
         return
     for key in ("left_out", "by_hand"):
         given = measurement.get(key)
@@ -249,8 +309,17 @@ def _rows_by_hand(measurement: Mapping[str, Any], listed: object) -> Iterator[Pr
             yield Problem(("measurement", key), "all frequencies, accepted: at least one is left")
 
 
-def _specimen(file: PlateFile, source: str, directory: Path | None, measured: Mapping[str, Any]) -> Specimen:
-    """The records of a file that passed every check; measured : fields of `Measurement` from another file."""
+def _specimen(
+    file: PlateFile,
+    source: str,
+    directory: Path | None,
+    measured: Mapping[str, Any],
+    former: Mapping[str, FormerPriors],
+) -> Specimen:
+    """The records of a file that passed every check.
+
+    measured : fields of `Measurement` from another file; former : priors from former posteriors, by material
+    """
     kinds = ply_kinds(file.model_dump(exclude_none=True)) or {}
     sequence_layup = file.plate.sequence_layup
     return Specimen(
@@ -259,7 +328,7 @@ def _specimen(file: PlateFile, source: str, directory: Path | None, measured: Ma
         source=source,
         plate=_plate(file.plate, kinds, directory),
         material=_materials(file.material),
-        unknowns=_unknowns(file.unknowns),
+        unknowns=_unknowns(file.unknowns, former),
         angle_grid_deg=float(file.unknowns.angle_grid_deg),
         air_density=file.environment.air_density_kg_m3,
         sensors=tuple(_sensor(sensor) for sensor in file.sensor),
@@ -338,29 +407,35 @@ def _material(model: MaterialModel) -> Material:
     given = model.model_dump(exclude_none=True)
     symmetry = symmetry_of(given)
     assert symmetry is not None
+    known = model.known is not False
     return Material(
         symmetry=symmetry,
         constants=_in_si({key: value for key, value in given.items() if key in CONSTANT_KEYS}),
-        sd={} if model.sd is None else _in_si(model.sd.model_dump(exclude_none=True)),
+        sd={} if model.sd is None or not known else _in_si(model.sd.model_dump(exclude_none=True)),
         name=model.name,
+        known=known,
     )
 
 
-def _unknowns(model: UnknownsModel | HybridUnknownsModel) -> ParameterSet:
+def _unknowns(model: UnknownsModel | HybridUnknownsModel, former: Mapping[str, FormerPriors]) -> ParameterSet:
     if isinstance(model, UnknownsModel):
-        return ParameterSet(_parameters(model, ""))
+        return ParameterSet(_parameters(model, "", former.get("", {})))
     parts = (model.__pydantic_extra__ or {}).items()
-    return ParameterSet(tuple(p for material, part in parts for p in _parameters(part, material)))
+    each = (_parameters(part, material, former.get(material, {})) for material, part in parts)
+    return ParameterSet(tuple(itertools.chain.from_iterable(each)))
 
 
-def _parameters(model: ConstantsModel, material: str) -> tuple[Parameter, ...]:
+def _parameters(model: ConstantsModel, material: str, former: FormerPriors) -> tuple[Parameter, ...]:
     parameters = []
     for user in type(model).model_fields:
         prior = getattr(model, user)
         if user in USER_UNITS and prior is not None:
             name, factor = USER_UNITS[user]
             unit = "Pa" if factor != 1.0 else ""
-            parameters.append(Parameter(joined_name(material, name), unit, _prior(user, prior)))
+            density, coupled = former.get(user) or (_prior(user, prior), None)
+            if coupled is not None and material:
+                coupled = replace(coupled, group=f"{coupled.group}, {material}")
+            parameters.append(Parameter(joined_name(material, name), unit, density, coupled=coupled))
     return tuple(parameters)
 
 
@@ -391,6 +466,10 @@ def _measurement(model: MeasurementModel, measured: Mapping[str, Any]) -> Measur
         complete=model.complete,
     )
     whole = replace(given, **stated, **measured)
+    std = model.relative_std or 0.0
+    if std > _MUCH_SCATTER:
+        much = f"relative_std = {std:g} is {100 * std:g} % of a frequency, where taps repeat to 0.02 to 1 %"
+        whole = replace(whole, remarks=(*whole.remarks, f"{much}; 0.2 % is 0.002"))
     if not (model.left_out or model.by_hand):
         return whole
     listed_hz = whole.frequencies

@@ -47,6 +47,7 @@ USER_UNITS: Final[Mapping[str, tuple[str, float]]] = MappingProxyType(
         "air_density_kg_m3": ("air_density", 1.0),
         "relative_std": ("relative_std", 1.0),
         "absolute_sd_hz": ("absolute_sd", 1.0),
+        "frequency_scale": ("frequency_scale", 1.0),
     }
 )
 """Name in the plate file -> (name inside, what one of the file's unit is in SI)."""
@@ -147,6 +148,11 @@ class Plate:
         return self.length * self.width
 
     @property
+    def total_mass(self) -> float:
+        """As weighed, else density times volume, kg."""
+        return self.density * self.area * self.thickness if self.mass is None else self.mass
+
+    @property
     def sizes(self) -> dict[str, float]:
         """The stated sizes of a plate, SI: a weighed plate has a mass and no density of its own."""
         weighed = {"density": self.density} if self.mass is None else {"mass": self.mass}
@@ -181,12 +187,14 @@ class Material:
         isotropic: E1, nu12
     sd : how well each is known, in the same unit, where given
     name : plates of the same name share their constants
+    known : whether the constants say anything before a measurement; if not, bounds alone do
     """
 
     symmetry: MaterialSymmetry
     constants: Mapping[str, float]
     sd: Mapping[str, float]
     name: str | None
+    known: bool = True
 
     @property
     def isotropic(self) -> bool:
@@ -453,6 +461,12 @@ class Specimen:
         if self.sequence_layup is None:
             return self
         return replace(self, plate=replace(self.plate, layup=self.sequence_layup))
+
+    def with_exact_sizes(self) -> Specimen:
+        """The specimen with sizes, mass and frequency scale as the file has them, without tolerances."""
+        exact = dict.fromkeys(self.plate.sizes, 0.0)
+        measurement = self.measurement and replace(self.measurement, scale_sd=0.0)
+        return replace(self, plate=replace(self.plate, sd=exact), measurement=measurement)
 
 
 def angle_grid(step_deg: float) -> NDArray[np.float64]:

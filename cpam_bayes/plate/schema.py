@@ -6,7 +6,7 @@ What relates several values is in checks.py. The description of a field is what 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import date as day
 from functools import partial
 from types import UnionType
@@ -150,6 +150,10 @@ class MaterialModel(_Table):
     G23_GPa: GPa | None = None
     density_kg_m3: Density | None = None
     name: Text | None = None
+    known: Flag | None = None
+    posterior: (
+        Annotated[str, Field(min_length=1, description="the path of a posterior.nc, from this file")] | None
+    ) = None
     sd: Annotated[MaterialSpreads, Field(description="a table [material.sd]")] | None = None
 
 
@@ -293,7 +297,7 @@ class MeasurementModel(_Table):
 
     frequencies_hz: (
         Annotated[
-            list[Hertz],
+            list[Annotated[Hertz, Field(description="a number above 0, in Hz; no rigid-body motion")]],
             Field(
                 min_length=1,
                 max_length=MAX_FREQUENCIES,
@@ -333,7 +337,9 @@ class MeasurementModel(_Table):
     relative_std: (
         Annotated[
             float,
-            Field(gt=0, lt=1, allow_inf_nan=False, description="a fraction above 0 and below 1"),
+            Field(
+                gt=0, lt=1, allow_inf_nan=False, description="a fraction above 0 and below 1; 0.2 % is 0.002"
+            ),
         ]
         | None
     ) = None
@@ -444,8 +450,7 @@ def _respelt(table: Mapping[str, Any], path: KeyPath, changed: dict[KeyPath, str
     few = sum(key not in known for key in table) <= _MAX_RESPELT
     meant: dict[str, Any] = {}
     for key, value in table.items():
-        near = difflib.get_close_matches(key, known, n=1, cutoff=0.5) if few and key not in known else []
-        name = near[0] if near and key not in _TABLE_OF else key
+        name = _nearest(key, known, path, value) if few and key not in _TABLE_OF else key
         other = meant.get(name, table.get(name)) if name != key else None
         # [palte] beside [plate.sd]
         joined = isinstance(value, dict) and isinstance(other, dict) and not value.keys() & other.keys()
@@ -460,9 +465,29 @@ def _respelt(table: Mapping[str, Any], path: KeyPath, changed: dict[KeyPath, str
     return meant
 
 
+def _nearest(key: str, known: Sequence[str], path: KeyPath, value: object) -> str:
+    """The known key that one stands for: its own, the next one, of a table that with its keys; or itself."""
+    if key in known:
+        return key
+    if not path:  # tables are tables
+        known = [name for name in known if (name in _TABLES) == isinstance(value, dict | list)]
+    folded = {name.casefold(): name for name in known}
+    close = difflib.get_close_matches(key.casefold(), folded, n=3, cutoff=0.5)
+    close.sort(key=lambda name: name.count("_") != key.count("_"))
+    if close:
+        return folded[close[0]]
+    inside = set(value) if isinstance(value, dict) else set()
+    alike = (
+        name
+        for name in known
+        if not path and 2 * len(inside & set(_keys_of(PlateFile, (name,)))) > len(inside)
+    )
+    return next(alike, key)
+
+
 def _what(kind: str, path: KeyPath, value: object) -> str:
     if kind == "extra_forbidden":
-        return _unknown_key(path)
+        return _unknown_key(path, value)
     accepted = _accepted(PlateFile, path) or "see the plate file's documentation"
     if kind == _MISSING:
         return f"missing, accepted: {accepted}"
@@ -474,14 +499,14 @@ def _what(kind: str, path: KeyPath, value: object) -> str:
     return f"{wrong}, received {received(value)}, accepted: {accepted}"
 
 
-def _unknown_key(path: KeyPath) -> str:
+def _unknown_key(path: KeyPath, value: object) -> str:
     key = str(path[-1])
     siblings = _keys_of(PlateFile, path[:-1])
-    nearest = difflib.get_close_matches(key, siblings, n=1, cutoff=0.5)
     if key in _TABLE_OF:
         return f"unknown key here, it belongs in {_TABLE_OF[key]}"
-    if nearest:
-        return f"unknown key, the nearest known key is {nearest[0]}"
+    nearest = _nearest(key, siblings, path[:-1], value)
+    if nearest != key:
+        return f"unknown key, the nearest known key is {nearest}"
     return f"unknown key, accepted: {' '.join(siblings)}"
 
 
@@ -565,3 +590,4 @@ def _tables() -> dict[str, str]:
 
 
 _TABLE_OF: Final = _tables()
+_TABLES: Final = [name for name in PlateFile.model_fields if _keys_of(PlateFile, (name,)) or name in _LISTS]

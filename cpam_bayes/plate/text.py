@@ -8,6 +8,8 @@ Only what can mean one thing is changed; all else is left to the schema, which r
 from __future__ import annotations
 
 import contextlib
+import difflib
+import itertools
 import json
 import math
 import os
@@ -15,6 +17,7 @@ import re
 import reprlib
 import stat
 import tomllib
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,6 +45,8 @@ Data = Mapping[str, Any]
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _MAX_PROBLEMS: Final = 100
+# Names of a directory among which one that was meant is looked for.
+_MOST_BESIDE: Final = 1000
 # Items of a list that a message shows.
 MAX_SHOWN: Final = 6
 
@@ -53,11 +58,13 @@ class Problem:
     A file can be wrong in ten thousand places; only what is shown is put in words.
 
     is_gap : whether something is missing and nothing wrong
+    choices : heads of a table, one of which has the frequencies
     """
 
     path: KeyPath
     what: str | Callable[[], str]
     is_gap: bool = False
+    choices: tuple[str, ...] = ()
 
     def of_material(self, name: str) -> Problem:
         """The same thing, found in a file that was looked at as if it had this material alone."""
@@ -91,19 +98,25 @@ def plate_file_error(
     )
     said: dict[str, bool] = {}
     found = []
+    # what is wrong with a list is said of the first of its items
+    of_list = Counter(problem.path[:-1] for _, problem in located if isinstance(problem.path[-1], int))
     for i, (line, problem) in enumerate(located):
         if len(said) == _MAX_PROBLEMS:
             said[f"{source}: and {len(located) - i} more problems"] = False
             break
         # A mapping given instead of a file has no lines.
         where = f"{source}:{line}" if lines else source
-        text = problem.text
+        count = of_list.pop(problem.path[:-1], 0) if isinstance(problem.path[-1], int) else 1
+        if not count:
+            continue
+        text = problem.text + and_more(count - 1, "item")
         whole = f"{where}: {_key(problem.path)}: {text}"
         if whole not in said:
             found.append((whole, problem.path, text))
         said[whole] = problem.is_gap
     gaps = tuple(text for text, is_gap in said.items() if is_gap)
-    return PlateFileError(*said, gaps=gaps, found=tuple(found))
+    choices = located[0][1].choices if len(located) == 1 else ()
+    return PlateFileError(*said, gaps=gaps, found=tuple(found), source=source, choices=choices)
 
 
 def received(value: object) -> str:
@@ -114,7 +127,16 @@ def received(value: object) -> str:
     short.maxlist = MAX_SHOWN
     if isinstance(value, bool):
         return "true" if value else "false"
-    return json.dumps(value) if isinstance(value, str) and len(value) <= 60 else short.repr(value)
+    if isinstance(value, str) and len(value) <= 60:
+        return json.dumps(value, ensure_ascii=not value.isprintable())
+    return short.repr(value)
+
+
+def and_more(count: int, what: str) -> str:
+    """The words for as many more of what a message is about."""
+    return (
+        f"; so {'are' if count > 1 else 'is'} {count} more {what}{'s' if count > 1 else ''}" if count else ""
+    )
 
 
 def _line(path: KeyPath, lines: Mapping[KeyPath, int]) -> int:
@@ -208,12 +230,26 @@ def read_named_file(
     try:
         return read_regular_file(str(path), received(name), accepted, most), []
     except FileNotFoundError:
-        what = f"no such file, received {received(name)}, accepted: a path from the plate file"
+        near = nearest_file(path)
+        cure = f"; the nearest there is {received(near)}" if near else ""
+        what = f"no such file, received {received(name)}, accepted: a path from the plate file{cure}"
         if not name.isprintable():
             what += r"; \t and \n in quotes are no path: write / for \ or use single quotes"
         return None, [Problem(key, what)]
     except (PlateFileError, ValueError) as error:
         return None, [Problem(key, str(error))]
+
+
+def nearest_file(path: Path) -> str:
+    """The name beside a path that is next to its own, "" for none."""
+    try:
+        beside = [Path(other) for other in itertools.islice(os.listdir(path.parent), _MOST_BESIDE)]
+    except (OSError, ValueError):
+        return ""
+    alike = [other for other in beside if path.suffix.casefold() in ("", other.suffix.casefold())]
+    stems = {other.stem.casefold(): other.name for other in alike}
+    close = difflib.get_close_matches(path.stem.casefold(), stems, n=1, cutoff=0.6)
+    return stems[close[0]] if close else ""
 
 
 def _require_small_file(status: os.stat_result, source: str, accepted: str, most: int) -> None:
@@ -230,19 +266,28 @@ def _too_large(source: str, size: str, most: int) -> str:
 
 
 def decode(content: bytes, source: str) -> str:
-    """The text of a plate file, UTF-8 or UTF-16 with its mark; raises PlateFileError where it is none."""
-    if content.startswith((b"\xff\xfe", b"\xfe\xff")) and len(content) % 2 == 0:
-        content = content.decode("utf-16", errors="replace").encode()
+    """The text of a plate file, UTF-8 or UTF-16; raises PlateFileError where it is none."""
+    content = as_utf_8(content)
     if b"\0" in content:
         raise PlateFileError(f"{source}: a binary file, accepted: a TOML text")
     try:
-        return content.decode("utf-8-sig").replace("\r\n", "\n")
+        return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
         raise PlateFileError(
             f"{source}:{line}: file: not UTF-8 text, received byte 0x{content[error.start]:02x}, "
-            "accepted: a TOML text in UTF-8"
+            "accepted: a TOML text in UTF-8; save it with that encoding"
         ) from None
+
+
+def as_utf_8(content: bytes) -> bytes:
+    """The content of a text file, of one in UTF-16, with or without its mark, in UTF-8."""
+    marked = content.startswith((b"\xff\xfe", b"\xfe\xff"))
+    # without a mark: Latin letters have a zero beside them
+    little = not marked and 2 * content[1::2].count(0) > len(content[1::2])
+    if len(content) % 2 or not (marked or little):
+        return content
+    return content.decode("utf-16" if marked else "utf-16-le", errors="replace").encode()
 
 
 # The parser of the standard library takes time quadratic in the parts of one dotted key.
@@ -260,6 +305,13 @@ def parse(text: str, source: str) -> Mapping[str, Any]:
                 raise PlateFileError(
                     f"{source}:{number}: file: a key of {parts + 1} parts, accepted: up to {_MAX_KEY_PARTS}"
                 )
+    commas = _DECIMAL_COMMAS.search(text)
+    if commas:
+        at = text.count("\n", 0, commas.start()) + 1
+        raise PlateFileError(
+            f"{source}:{at}: {commas[1]}: are these decimal commas? 80,2 is two numbers, received "
+            f"{received(' '.join(commas[2].split()))}, accepted: 80.2, or a space after every comma"
+        )
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -270,19 +322,44 @@ def parse(text: str, source: str) -> Mapping[str, Any]:
         raise PlateFileError(f"{source}:1: file: not valid TOML: {error}") from None
 
 
+# Whole numbers in pairs, parted by commas and spaces: 80,2, 146,3.
+_DECIMAL_COMMAS: Final = re.compile(
+    r"^[ \t]*(\w+_(?:hz|GPa)|nu12)[ \t]*=\s*(\[\s*\d+,\d+(?:,\s+\d+,\d+)+,?\s*\])", re.MULTILINE
+)
 # What a line has that is no TOML, and the cure.
 _SLIPS: Final = (
+    (re.compile(r"^[^\"'#]*([\"'])(?:(?!\1).)*$"), "; a quote is missing: a text begins and ends with one"),
+    (re.compile(r"=\s*\[[^\]\"']*\d\s*(?:;|\s-?\d)"), "; commas part the numbers of a list: [80.2, 146.3]"),
+    (re.compile(r"=\s*[({]?\s*\d+(?:\.\d+|,\d+)?\s*,\s"), "; a list stands in [ ]: [80.2, 146.3]"),
     (re.compile(r"=\s*[+-]?\d+,\d"), "; a decimal point, not a comma: 281.5"),
+    (re.compile(r"=\s*[+-]?(?:\.\d|\d+\.\s*(?:#|$))"), "; a digit on each side of a point: 0.31"),
+    (re.compile(r"=\s*[+-]?[\d.]+\s*(?:;|/|\(|--)"), "; # begins a comment"),
+    (re.compile(r"=\s*(?:True|False|TRUE|FALSE)\b"), "; true and false are in small letters"),
+    (re.compile(r"=\s*(?:#|$)"), "; the value is missing"),
+    (re.compile(r"^(?!\[[\w.]+\]$)\W?[A-Za-z_.]+\W?$"), "; a table is headed [plate]"),
+    (
+        re.compile(r"^\w+(?:\s+\w+\s*=|\s+[^\s=:])"),
+        "; a key has no spaces and = stands after it: length_mm = 310.0",
+    ),
     (re.compile(r"=\s*[+-]?\d[\d.]*\s*[A-Za-z°%]"), '; the unit is in the key, or a text in quotes: "185 g"'),
     (
         re.compile(
-            "[\N{LEFT DOUBLE QUOTATION MARK}\N{RIGHT DOUBLE QUOTATION MARK}\N{DOUBLE LOW-9 QUOTATION MARK}]"
+            "[\N{LEFT DOUBLE QUOTATION MARK}\N{RIGHT DOUBLE QUOTATION MARK}\N{DOUBLE LOW-9 QUOTATION MARK}"
+            "\N{LEFT SINGLE QUOTATION MARK}\N{RIGHT SINGLE QUOTATION MARK}\N{SINGLE LOW-9 QUOTATION MARK}"
+            "\N{LEFT-POINTING DOUBLE ANGLE QUOTATION MARK}`]|=\\s*''"
         ),
         '; quotes are "',
     ),
     (re.compile(r'=\s*"[^"]*\\'), "; write / for \\ in a path, or put it in single quotes: 'C:\\data'"),
     (re.compile(r"^[A-Za-z_0-9]+\s*:"), "; = stands between a key and its value"),
     (re.compile(r"=\s*[A-Za-z(]"), '; texts stand in quotes: edges = "FFFF"'),
+)
+
+
+# The same by the words of the parser.
+_TOLD: Final = (
+    (re.compile("^Cannot"), "; a key and a table stand once"),
+    (re.compile("^Unclosed array"), "; is a ] missing, here or above?"),
 )
 
 
@@ -295,7 +372,8 @@ def _not_toml(message: str, text: str, source: str) -> str:
         line, where = text.rstrip().count("\n") + 1, " at the end of the file"
     shown = text.split("\n")[line - 1].strip() if line <= text.count("\n") + 1 else ""
     quoted = "".join(c if c.isprintable() else " " for c in shown[:60])
-    cure = next((said for slip, said in _SLIPS if slip.search(shown)), "")
+    slips = (*((slip, said, shown) for slip, said in _SLIPS), *((slip, said, what) for slip, said in _TOLD))
+    cure = next((said for slip, said, where in slips if slip.search(where)), "")
     return f"{source}:{line}: file: not valid TOML, {what}{where}, received: {quoted}{cure}"
 
 

@@ -260,6 +260,8 @@ def perturbation_sd(frequencies: Array, level: float, interpretation: Interpreta
 def perturbed_list(frequencies: Array, sd: Array, rng: np.random.Generator) -> PerturbedList:
     """A list (n,) with independent Gaussian noise of standard deviations sd (n,), Hz.
 
+    The paper makes the normal numbers by the Box-Muller transform, numpy by the ziggurat; both are normal.
+
     A frequency that would not be positive is drawn again. Raises ``ValueError`` where that does not
     end, for a frequency that is not positive itself.
     """

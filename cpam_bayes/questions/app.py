@@ -21,7 +21,9 @@ from cpam_bayes.command import Command, option, whole
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
 from cpam_bayes.errors import checked
 from cpam_bayes.forward_model.build import Neighbour
+from cpam_bayes.forward_model.known_errors import TolerantModel
 from cpam_bayes.forward_model.labels import LabelledModel
+from cpam_bayes.forward_model.model import with_references
 from cpam_bayes.forward_model.preconditions import misfit_over_noise
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.identification.point import bound_of, verdict_of
@@ -177,11 +179,12 @@ def _place(plate: str) -> tuple[Path, str | None, str | None]:
 
 @lru_cache(maxsize=4)
 def _target(text: str, name: str, folder: str) -> tuple[Specimen, Any]:
-    specimen = parse_specimen(text, name, Path(folder))
+    specimen = with_references(parse_specimen(text, name, Path(folder)))
     near = _converged[0] if _converged else None
     target = posterior(specimen, near=near)
-    assert isinstance(target.model, ReducedModel | LabelledModel)
-    model = target.model.full
+    exact = target.model.model if isinstance(target.model, TolerantModel) else target.model
+    assert isinstance(exact, ReducedModel | LabelledModel)
+    model = exact.full
     if near is None or not near.suits(specimen, model.parameters, model.n_modes):
         _converged[:] = [Neighbour(specimen, model)]
     return specimen, target
@@ -311,7 +314,7 @@ def _applied(result: DiagnosisResult, specimen: Specimen) -> tuple[Any, str]:
         return None, ""
     cause = next(c for c in d.causes if c.name == d.claim.causes[0])
     place = place_of(cause, specimen.plate)
-    (effect, *_) = (*cause.hypothesis.effects, None)
+    effect = next(iter(cause.hypothesis.effects), None)
     if effect is not None and effect.local == "point" and place is not None:
         mass = to_user("mass", cause.parameters[effect.parameters[0].name][0])
         x, y = (1e3 * v for v in place[0])

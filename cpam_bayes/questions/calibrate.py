@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cpam_bayes.calibration import (
     N_DRAWS,
@@ -165,14 +166,18 @@ def calibrate(
             n_listed=measurement.size,
         )
         repetitions = repeated(experiment, n, executor=pool, on_result=count)
-    ranks = np.array([r.ranks for r in repetitions])
+    names = density.parameters.names
+    # sizes and frequency scale are drawn with the rest, and what holds them is not asked
+    kept = [i for i, name in enumerate(names) if name in (*specimen.unknowns.names, density.noise_name)]
+    ranks = np.array([r.ranks for r in repetitions])[:, kept]
+    below = np.array([r.below for r in repetitions])[:, kept]
     statistics = rank_statistics(ranks, N_DRAWS + 1, np.random.default_rng(seed), n_bins=_BINS)
     band = statistics.histogram_band
     return CalibrationResult(
         seed=seed,
         specimen=specimen,
         repetitions=repetitions,
-        constants=tuple(_constants(density.parameters.names, repetitions, statistics)),
+        constants=tuple(_constants([names[i] for i in kept], below, statistics)),
         band=tuple((int(a), int(b)) for a, b in zip(band.lower, band.upper, strict=True)),
     )
 
@@ -197,9 +202,9 @@ def _plain_list(specimen: Specimen) -> Specimen:
 
 
 def _constants(
-    names: Sequence[str], repetitions: Sequence[Repetition], statistics: RankStatistics
+    names: Sequence[str], below: NDArray[np.float64], statistics: RankStatistics
 ) -> list[CalibratedConstant]:
-    below = np.array([r.below for r in repetitions])
+    """Each of n parameters; below : (lists, n) shares of draws below the truth."""
     return [
         CalibratedConstant(
             user_name(name), coverage(below[:, i]), tuple(int(c) for c in own.counts), own.corrected_p

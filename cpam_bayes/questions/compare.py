@@ -16,6 +16,7 @@ from cpam_bayes.formatting import listed, with_spread
 from cpam_bayes.plate import PlateLike, to_user, unit_of, user_name
 from cpam_bayes.questions.batch import batch
 from cpam_bayes.questions.batch.result import probability_text
+from cpam_bayes.questions.batch.verdicts import slip_question
 from cpam_bayes.render.report import Column, Report, Rows, Summary
 from cpam_bayes.result import Result, present, within_time
 from cpam_bayes.running import SILENT, Watch
@@ -69,8 +70,9 @@ class CompareResult(Result):
 def compare(a: PlateLike, b: PlateLike, *, seed: int = 0, watch: Watch = SILENT) -> CompareResult:
     """The differences of the constants of a plate b from those of a plate a, with their probabilities.
 
-    Each has the posterior of `batch`, Laplace's, with [plate.sd] in it; the two are independent: what both
-    have in common, such as the scale of one analyser, is in their intervals and not in their difference.
+    Each has the posterior of `batch`, a normal one, with the errors of its sizes in it; the two are
+    independent: what both have in common, such as the scale of one analyser, is in their intervals and not in
+    their difference.
 
     Parameters
     ----------
@@ -87,7 +89,7 @@ def compare(a: PlateLike, b: PlateLike, *, seed: int = 0, watch: Watch = SILENT)
     >>> import cpam_bayes as cb
     >>> found = cb.compare("A1", "A2").differences["E1"]
     >>> round(found.percent), found.probability_larger < 0.05
-    (-3, True)
+    (-3, False)
     """
     both = batch(a, b, seed=seed, watch=watch)
     for row in both.failed:
@@ -131,7 +133,7 @@ def _present(result: CompareResult) -> Report:
             headline=_headline(result),
             tables=(table.table(""),),
             lines=(
-                "The intervals contain noise and the stated tolerances of each plate, taken as independent.",
+                "The intervals contain noise, tolerances and data sheet of each plate, taken as independent.",
             ),
             next_step=_next_step(result),
             slips=result.slips,
@@ -183,8 +185,10 @@ def _percent_text(d: Difference) -> str:
 def _headline(result: CompareResult) -> str:
     wrong = [row for row in result.rows if not row.is_judged]
     if wrong:
-        names = listed([row.name for row in wrong], "and")
-        return f"Cannot be judged: the plate model does not describe the frequencies of {names}."
+        said = [row.name if row.slip is None else f"{row.name} ({slip_question(*row.slip)})" for row in wrong]
+        return (
+            f"Cannot be judged: the plate model does not describe the frequencies of {listed(said, 'and')}."
+        )
     first, second = result.rows
     differing = [d for d in result.differences.values() if d.differs]
     if not differing:

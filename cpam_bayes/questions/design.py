@@ -15,8 +15,9 @@ from cpam_bayes.answer import Verdict
 from cpam_bayes.command import EXECUTOR, MAX_MODES, PLATE, WORKERS, Command, option, positive, whole
 from cpam_bayes.errors import PlateFileError, checked
 from cpam_bayes.formatting import listed, significant
+from cpam_bayes.forward_model.known_errors import known_errors
 from cpam_bayes.forward_model.labels import measured_modes
-from cpam_bayes.forward_model.model import air_shifts
+from cpam_bayes.forward_model.model import air_shifts, with_references
 from cpam_bayes.forward_model.preconditions import (
     rectangular_only,
     require_number,
@@ -42,6 +43,7 @@ from cpam_bayes.identification.specimen_design import (
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.parallel import counted, open_executor, run
 from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, unit_of, user_name
+from cpam_bayes.plate.edges import conditions
 from cpam_bayes.render.figures import headed, new_figure
 from cpam_bayes.render.plate import plate_section
 from cpam_bayes.render.report import (
@@ -137,9 +139,9 @@ def design(
     """Layups, shapes, thicknesses, edges and numbers of modes, ranked by how well they determine constants.
 
     Every combination is computed at the reference constants. Its expected information about the constants is
-    that of Laplace's approximation there, with the priors of [unknowns], and the standard deviations of
-    [plate.sd] integrated over: see `expected_information`. It compares specimens; what a list that was
-    measured says is the answer of `identify`.
+    that of Laplace's approximation there, with the prior of all verbs. Errors of sizes, mass and frequency
+    scale, stated or usual, and of clamps that give are integrated over: see `expected_information`. It
+    compares specimens; what a list that was measured says is the answer of `identify`.
 
     Parameters
     ----------
@@ -172,7 +174,7 @@ def design(
     """
     require_seed(seed)
     start = time.perf_counter()
-    specimen = require_supported(read_plate(plate), rectangular_only("design"))
+    specimen = with_references(require_supported(read_plate(plate), rectangular_only("design")))
     unknowns = specimen.unknowns
     if not unknowns.size:
         raise PlateFileError(
@@ -410,10 +412,10 @@ def _noise(result: DesignResult) -> str:
 
 
 def _sizes(result: DesignResult) -> str:
-    sd = list(result.specimen.plate.sd)
-    if not sd:
-        return "Sizes and mass are assumed exact; state in the plate file how exactly they are known."
-    return f"The standard deviations contain the stated uncertainty of {listed(sd, 'and')}."
+    sizes = [name.replace("_", " ") for name in known_errors(result.specimen)]
+    clamps = any(edge.is_clamp for c in result.candidates for edge in conditions(c.geometry.edges))
+    within = listed([*sizes, *(["clamps that give"] if clamps else [])], "and")
+    return f"The standard deviations contain noise and errors of {within}."
 
 
 def _next_step(result: DesignResult) -> str:

@@ -116,7 +116,7 @@ def plate_file_text(known: KnownPlate) -> str:
     plate = [
         _line("length_mm", length, 310.0, "along x, the direction of a ply at 0 deg"),
         _line("width_mm", width, 228.0, "along y"),
-        _line("thickness_mm", thickness, 3.1, "mean of the places it was gauged at"),
+        _line("thickness_mm", thickness, 3.1, "the mean of several places"),
         _line("mass_g", known.mass_g, 340.7, "weighed, nothing attached"),
         *(
             []
@@ -192,6 +192,7 @@ def material_lines(material: TypicalMaterial) -> tuple[tuple[str, ...], tuple[st
     return (
         _line("name", material.name, "", "plates of one name share their constants in `diagnose`"),
         _line("symmetry", material.symmetry, "", "isotropic, transversely_isotropic or orthotropic"),
+        f"{'known = false':<28} # until this line is gone, bounds alone count",
         *(_line(key, value, 0.0, "") for key, value in material.constants.items()),
     ), tuple(_line(key, list(pair), [], "") for key, pair in material.bounds.items())
 

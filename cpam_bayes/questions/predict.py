@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 
@@ -28,11 +28,11 @@ from cpam_bayes.forward_model.preconditions import (
     require_supported,
     require_whole,
 )
-from cpam_bayes.identification.stored_posterior import StoredPosterior, read_posterior, stored_posterior
 from cpam_bayes.mechanics.modes import Mode
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, unit_of, user_name
 from cpam_bayes.plate.reader import builtin_names
+from cpam_bayes.plate.stored_posterior import StoredPosterior, read_posterior, stored_posterior
 from cpam_bayes.questions.identify.emcee import SampledResult
 from cpam_bayes.render.figures import MEASURED, PREDICTED, extent_of, new_figure, shapes_figure
 from cpam_bayes.render.plate import plate_section
@@ -130,8 +130,8 @@ def predict(
 
     Every draw of the constants is carried through the plate's model: p(f | data) = integral of
     p(f | constants) p(constants | data). Constants that did not vary in the posterior are those of the
-    plate's [material]. Sizes with a standard deviation in [plate.sd] vary by it; those of the plate that was
-    measured, known by its `specimen`, are the sizes of the draws.
+    plate's [material]. Sizes vary by [plate.sd] or else the usual standard deviations; those of
+    the plate that was measured, known by its `specimen`, are the sizes of the draws.
 
     Parameters
     ----------
@@ -245,7 +245,8 @@ def _sizes(
     """Draws of the plate's sizes that are not known exactly, SI."""
     if same_plate:
         return {name: stored.draws[name] for name in stored.sizes}
-    return {p.name: p.prior.sample(rng, stored.size) for p in size_parameters(specimen).parameters}
+    known = replace(specimen, plate=replace(specimen.plate, sd=specimen.plate.known_to))
+    return {p.name: p.prior.sample(rng, stored.size) for p in size_parameters(known).parameters}
 
 
 def _over(name: str, values: Array) -> Parameter:
@@ -547,7 +548,7 @@ COMMAND: Final = Command(
         option(
             "posterior",
             metavar="POSTERIOR",
-            help="posterior.nc of `identify --backend emcee --out DIR`, of a plate of the same material",
+            help="posterior.nc of `identify --out DIR`, of a plate of the same material",
         ),
         PLATE,
         MODES,

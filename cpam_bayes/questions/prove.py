@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.answer import Notice
 from cpam_bayes.batches.plate_row import local_likelihood
 from cpam_bayes.command import PLATE, TIME_LIMIT, Command, option
 from cpam_bayes.errors import PlateFileError, checked
@@ -20,15 +21,17 @@ from cpam_bayes.formatting import fixed, listed, significant, with_spread
 from cpam_bayes.forward_model.labels import labelled_model, list_order
 from cpam_bayes.forward_model.preconditions import rectangular_only, require_seed, require_supported
 from cpam_bayes.identification.added_mass import (
+    LARGEST,
     AddedMass,
     Finding,
     LoadedPlate,
     Repeatability,
     cells_of,
     detection_limit,
-    find_mass,
+    find_masses,
     loaded_plate,
     predicted_shifts,
+    spread_of_shifts,
 )
 from cpam_bayes.identification.search import required
 from cpam_bayes.plate import Measurement, Plate, PlateLike, Specimen, read_plate
@@ -70,6 +73,8 @@ _WEIGHED, _THICKNESS, _DENSITY = 0.002, 0.01, 0.01
 _GRAM, _MILLIMETRE = 1e3, 1e3
 # Probability above which a claim is written as nearly certain.
 _SURE: Final = 0.9995
+# Standard deviations of a 95 % interval.
+_WITHIN: Final = 1.96
 _SEALED_KEYS: Final = ("mass_g", "x_mm", "y_mm")
 
 
@@ -81,6 +86,10 @@ class Stated:
     place: tuple[float, float]
     shifts: Array
     sd: Array
+
+    def holds(self, shifts: Array) -> Array:
+        """Whether shifts (n,) are inside the 95 % intervals, (n,)."""
+        return np.asarray(np.abs(shifts - self.shifts) <= _WITHIN * self.sd)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,9 +121,7 @@ class Coin:
     @property
     def shifts_inside(self) -> int | None:
         """Number of shifts within the 95 % intervals that the first list and the seal predict."""
-        if self.stated is None:
-            return None
-        return int(np.sum(np.abs(self.shifts - self.stated.shifts) <= 1.96 * self.stated.sd))
+        return None if self.stated is None else int(np.sum(self.stated.holds(self.shifts)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -126,6 +133,8 @@ class CoinResult(PlateResult):
     coins : in the order of the lists
     hash : SHA-256 of the sealed file as it was before the answer, "" without one
     detection_limit : mass that is claimed with 95 % probability, kg; None where none is
+    spread : of several sealed lists, the 95 % interval of the relative repeatability and the bound of the
+        error of a shift, as of `spread_of_shifts`
     point : the identification from the first list
     """
 
@@ -134,6 +143,7 @@ class CoinResult(PlateResult):
     coins: tuple[Coin, ...]
     hash: str
     detection_limit: float | None
+    spread: tuple[tuple[float, float], float] | None
     point: PointResult
 
     @property
@@ -163,7 +173,7 @@ def prove(
     lists : each with one mass: a table, a TOML file with frequencies_hz, or frequencies in Hz; of the same
         modes as the first list
     sealed : a TOML file with a [[coin]] for each list: mass_g, x_mm, y_mm. Its SHA-256 is shown first, and it
-        is opened after the answer; mass_g = 0 is a list without a mass
+        is compared after the answer; mass_g = 0 is a list without a mass
     watch : display of the progress; none where left out
 
     Raises
@@ -192,33 +202,66 @@ def prove(
     if digest:
         watch.announce(f"SHA-256 of the seal: {digest}")
     point = identify(specimen, seed=seed, residuals="relative", watch=watch)
+    _require_described(point)
     watch.announce(f"prove {specimen.name}: where a mass gives these shifts")
     rng = np.random.default_rng(seed)
     loaded = _loaded(point, rng)
     whole = cells_of(loaded)
-    coins = []
-    for name, measurement in further:
-        d = np.log(measurement.frequencies / first.frequencies)
-        noise = _repeatability(first, measurement)
-        coins.append(Coin(name, find_mass(loaded, whole, d, noise, rng), d, None))
+    shifts = [np.log(measurement.frequencies / first.frequencies) for _, measurement in further]
+    noises = [_repeatability(first, measurement) for _, measurement in further]
+    found = find_masses(loaded, whole, list(zip(shifts, noises, strict=True)), rng)
+    coins = [Coin(name, one, d, None) for (name, _), one, d in zip(further, found, shifts, strict=True)]
     level = float(np.median([coin.found.noise for coin in coins]))
-    rounding = _repeatability(first, further[0][1]).rounding
-    limit = detection_limit(loaded, whole, level, rounding, rng)
+    limit = detection_limit(loaded, whole, level, noises[0].rounding, rng)
     if seal:
         coins = [
             replace(coin, stated=_stated(loaded, coin, held, first, measurement))
             for coin, held, (_, measurement) in zip(coins, seal, further, strict=True)
         ]
+    spread = None
+    stated = [(coin.shifts - coin.stated.shifts, coin.stated.shifts) for coin in coins if coin.stated]
+    if len(stated) > 1:
+        left, predicted = (np.array(each) for each in zip(*stated, strict=True))
+        spread = spread_of_shifts(left, predicted, noises[0].rounding)
     return CoinResult(
         seed=seed,
-        notices=tuple(n for n in point.notices if n.severity == "slip"),
+        notices=(*_given_twice(first, further), *(n for n in point.notices if n.severity == "slip")),
         specimen=specimen,
         air_shifts=point.air_shifts,
         coins=tuple(coins),
         hash=digest,
         detection_limit=limit,
+        spread=spread,
         point=point,
     )
+
+
+def _given_twice(first: Measurement, further: Sequence[tuple[str, Measurement]]) -> Iterator[Notice]:
+    """A notice for each list whose frequencies are those of one before it."""
+    names = {tuple(first.frequencies): "the first list"}
+    for name, measurement in further:
+        frequencies = tuple(measurement.frequencies)
+        if frequencies in names:
+            yield Notice("list_given_twice", "slip", {"name": name, "before": names[frequencies]})
+        else:
+            names[frequencies] = name
+
+
+def _require_described(point: PointResult) -> None:
+    """The shapes of the modes say where a mass is: of another plate they say nothing."""
+    if any(notice.code == "large_misfit" for notice in point.notices):
+        off = _percent(point.estimate.rms)
+        raise PlateFileError(
+            f"{point.specimen.source}: the first list is {off} % off the plate model, whose mode shapes then "
+            "cannot tell where a mass is; mend the plate file first: identify names what is likely wrong"
+        )
+
+
+def _content(path: str, accepted: str) -> bytes:
+    try:
+        return read_regular_file(path, path, accepted)
+    except FileNotFoundError:
+        raise PlateFileError(f"{path}: no such file, accepted: {accepted}") from None
 
 
 def _require_complete(specimen: Specimen, first: Measurement) -> None:
@@ -234,7 +277,7 @@ def _list_of(given: ListLike, specimen: Specimen, first: Measurement) -> tuple[s
     if isinstance(given, str | os.PathLike):
         name = os.fspath(given)
         if Path(name).suffix.casefold() == ".toml":
-            content = dict(parse(decode(read_regular_file(name, name, "a list"), name), name))
+            content = dict(parse(decode(_content(name, "a list"), name), name))
             if "plate" in content:
                 found = read_plate(name).measurement
                 if found is None:
@@ -281,11 +324,11 @@ def _of_as_many(name: str, found: Measurement, first: Measurement) -> Measuremen
 def _seal(
     sealed: str | os.PathLike[str] | None, n: int, plate: Plate
 ) -> tuple[tuple[tuple[float, float, float], ...], str]:
-    """Masses and places of the sealed file, SI, and its SHA-256."""
+    """Masses and places of the sealed file, SI, and its SHA-256; what is wrong is said without its values."""
     if sealed is None:
         return (), ""
     source = os.fspath(sealed)
-    content = read_regular_file(source, source, "a sealed file")
+    content = _content(source, "a sealed file")
     coins = parse(decode(content, source), source).get("coin")
     if not isinstance(coins, list) or len(coins) != n:
         count = len(coins) if isinstance(coins, list) else 0
@@ -301,10 +344,11 @@ def _seal(
                 f"{source}: [[coin]] {i}: accepted: {listed(_SEALED_KEYS, 'and')}, a number each"
             )
         mass, x, y = (float(v) for v in values)
-        if not (mass >= 0.0 and 0.0 <= x <= sides[0] and 0.0 <= y <= sides[1]):
+        most = _GRAM * LARGEST * plate.total_mass
+        if not (0.0 <= mass <= most and 0.0 <= x <= sides[0] and 0.0 <= y <= sides[1]):
             raise PlateFileError(
-                f"{source}: [[coin]] {i}: received {mass:g} g at ({x:g}, {y:g}) mm, accepted: 0 g or more "
-                f"on the plate of {sides[0]:g} x {sides[1]:g} mm"
+                f"{source}: [[coin]] {i}: accepted: 0 to {significant(most, 2)} g, {100.0 * LARGEST:g} % of "
+                f"the plate, at a place on the plate of {sides[0]:g} x {sides[1]:g} mm"
             )
         found.append((mass / _GRAM, x / _MILLIMETRE, y / _MILLIMETRE))
     return tuple(found), hashlib.sha256(content).hexdigest()
@@ -318,7 +362,7 @@ def _loaded(point: PointResult, rng: np.random.Generator) -> LoadedPlate:
     best = np.array(likelihood.at)
     prior = np.array([unknowns[name].prior.sd for name in likelihood.names])
     # in units of the priors: constants differ by many orders of magnitude
-    inner = np.array(likelihood.information) * np.outer(prior, prior) + np.eye(len(prior))
+    inner = np.array(likelihood.information) * np.outer(prior, prior) + unknowns.precision
     lam, vectors = np.linalg.eigh(0.5 * (inner + inner.T))
     root = vectors / np.sqrt(np.maximum(lam, 1.0))
     draws = best + prior * (rng.standard_normal((4 * _DRAWS, len(best))) @ root.T)
@@ -334,8 +378,8 @@ def _loaded(point: PointResult, rng: np.random.Generator) -> LoadedPlate:
         sd = float(
             np.hypot(of_density, plate.sd.get("thickness", _THICKNESS * plate.thickness) / plate.thickness)
         )
-    mass = plate.density * plate.length * plate.width * plate.thickness
-    return loaded_plate(model, best, draws, order, (plate.length, plate.width), (mass, sd))
+    sides = (plate.length, plate.width)
+    return loaded_plate(model, best, draws, order, sides, (plate.total_mass, sd))
 
 
 def _repeatability(first: Measurement, second: Measurement) -> Repeatability:
@@ -419,10 +463,62 @@ _COLUMNS: Final = (
 )
 
 
+@dataclass(frozen=True, slots=True)
+class _Shifted:
+    """One frequency of a sealed list, Hz: without the mass, and as predicted from it with the seal.
+
+    sd : of the prediction, relative. is_inside : whether its 95 % interval holds the measured one
+    """
+
+    name: str
+    mode: int
+    bare: float
+    predicted: float
+    sd: float
+    measured: float
+    is_inside: bool
+
+
+def _shifted(result: CoinResult) -> tuple[_Shifted, ...]:
+    """The frequencies of all sealed lists."""
+    measurement = result.specimen.measurement
+    assert measurement is not None
+    return tuple(
+        _Shifted(coin.name, i, f, f * np.exp(stated), sd, f * np.exp(d), bool(inside))
+        for coin in result.coins
+        if coin.stated is not None
+        for i, (f, d, stated, sd, inside) in enumerate(
+            zip(
+                measurement.frequencies,
+                coin.shifts,
+                coin.stated.shifts,
+                coin.stated.sd,
+                coin.stated.holds(coin.shifts),
+                strict=True,
+            ),
+            1,
+        )
+    )
+
+
+_SHIFT_COLUMNS: Final = (
+    Column("list", "list", lambda s: Path(s.name).name),
+    Column("mode", "mode", lambda s: s.mode, number=True),
+    Column("first, Hz", "first_hz", lambda s: s.bare, "{:.2f}".format, number=True),
+    Column("predicted, Hz", None, lambda s: " +- ".join(with_spread(s.predicted, s.predicted * s.sd))),
+    Column(None, "predicted_hz", lambda s: s.predicted),
+    Column(None, "sd_hz", lambda s: s.predicted * s.sd),
+    Column("measured, Hz", "measured_hz", lambda s: s.measured, "{:.2f}".format, number=True),
+    Column("in 95 %", "inside", lambda s: s.is_inside, lambda inside: "yes" if inside else "no"),
+)
+
+
 @present.register
 def _present(result: CoinResult) -> Report:
     """The mass found, the mass stated, and their agreement."""
     rows = Rows("coins", _COLUMNS, result.coins, lambda c: c.is_inside is False)
+    shifts = Rows("shifts", _SHIFT_COLUMNS, _shifted(result), lambda s: not s.is_inside)
+    of_seal = (shifts.table("Frequencies that the first list and the seal predict"),) if shifts.rows else ()
     limit = result.detection_limit
     return Report(
         summary=Summary(
@@ -434,6 +530,7 @@ def _present(result: CoinResult) -> Report:
                 "Detection limit here: "
                 + ("no mass is found with 95 % probability." if limit is None else f"{_limit(limit)}."),
                 *(("No list tells a place from its mirror images.",) if _has_images(result) else ()),
+                *((f"SHA-256 of the seal: {result.hash}",) if result.hash else ()),
             ),
             next_step=""
             if result.hash
@@ -442,7 +539,9 @@ def _present(result: CoinResult) -> Report:
             warnings=result.cautions,
         ),
         sections=(
-            Section("Certificate", (facts("Coin test", _certificate(result)),), (DRAWING,), folded=False),
+            Section(
+                "Certificate", (facts("Coin test", _certificate(result)), *of_seal), (DRAWING,), folded=False
+            ),
             replace(plate_section(result.specimen, result.air_shifts), figures=()),
             Section(COMPUTATION, (_computation(result),)),
         ),
@@ -455,10 +554,13 @@ def _present(result: CoinResult) -> Report:
             ],
             "detection_limit_g": None if limit is None else _GRAM * limit,
             "coverage": result.coverage,
+            "shifts": shifts.records(),
+            "repeatability": None if result.spread is None else list(result.spread[0]),
+            "shift_error": None if result.spread is None else result.spread[1],
             "warnings": list(result.warnings),
         },
         drawings=(Drawing(DRAWING, partial(_drawn, result), _CAPTION),),
-        rows=(rows,),
+        rows=(rows, shifts),
     )
 
 
@@ -485,7 +587,8 @@ def _headline(result: CoinResult) -> str:
     (coin,) = result.coins
     found, stated = coin.found, coin.stated
     if found.finding is Finding.OTHER:
-        return "The lists differ by more than noise and a mass explain: something else changed."
+        most = significant(_GRAM * LARGEST * result.specimen.plate.total_mass, 2)
+        return f"Neither noise nor a mass of up to {most} g explains the second list: something else changed."
     if found.finding is Finding.NOTHING:
         sealed = "" if stated is None else f"; the seal says {significant(_GRAM * stated.mass, 3)} g"
         return f"Nothing of {significant(_GRAM * found.interval[1], 2)} g or more was added{sealed}."
@@ -493,7 +596,8 @@ def _headline(result: CoinResult) -> str:
     if stated is not None:
         off = "" if coin.distance is None else f", {fixed(_MILLIMETRE * coin.distance, 0)} mm off"
         return (
-            f"{shown} was found for {significant(_GRAM * stated.mass, 3)} g{off}; {coin.shifts_inside} of "
+            f"{shown} was found for {significant(_GRAM * stated.mass, 3)} g{off}"
+            f"{'' if coin.is_inside else ', outside its 95 % interval'}; {coin.shifts_inside} of "
             f"{len(coin.shifts)} shifts lie inside their 95 % intervals."
         )
     sure = "> 0.999" if found.probability > _SURE else fixed(found.probability, 3)
@@ -513,7 +617,7 @@ def _agreement(result: CoinResult) -> tuple[str, ...]:
         mean, sd = float(weight @ ratio / weight.sum()), float(weight.sum() ** -0.5)
         said.append(
             f"Found over sealed masses: {' +- '.join(with_spread(mean, sd))}; "
-            "1 where the plate's mass is right."
+            "1 where the plate's mass, on which its moduli rest, is right."
         )
     return tuple(said)
 
@@ -528,21 +632,35 @@ def _certificate(result: CoinResult) -> tuple[tuple[str, str], ...]:
             stated = (
                 f"; sealed: {significant(_GRAM * coin.stated.mass, 3)} g at {_where(coin.stated.place)} mm"
             )
+            if coin.distance is not None:
+                stated += f", {fixed(_MILLIMETRE * coin.distance, 0)} mm off"
+                stated += " up to a mirror image" if coin.found.images else ""
         at = f" at {_where(coin.found.place)} mm" if _is_added(coin) else ""
-        rows.append((Path(coin.name).name, f"{_grams(coin)} g{at}{stated}"))
+        unit = "" if coin.found.finding is Finding.OTHER else " g"
+        rows.append((Path(coin.name).name, f"{_grams(coin)}{unit}{at}{stated}"))
     limit = result.detection_limit
     rows.append(("detection limit", "none" if limit is None else _limit(limit)))
-    return tuple(rows)
+    if result.spread is not None:
+        (low, high), form = result.spread
+        rows.append(
+            ("repeatability, from the shifts", f"{_percent(low)} to {_percent(high)} % of a frequency")
+        )
+        rows.append(("error of a shift beyond it", f"at most {_percent(form)} % of the shift"))
+    return (*rows, *(("agreement", line) for line in _agreement(result)))
+
+
+def _percent(value: float) -> str:
+    return significant(100.0 * value, 2)
 
 
 def _computation(result: CoinResult) -> Any:
-    noise = significant(100.0 * float(np.median([c.found.noise for c in result.coins])), 2)
-    fit = significant(100.0 * result.point.estimate.rms, 2)
+    noise = _percent(float(np.median([c.found.noise for c in result.coins])))
+    fit = _percent(result.point.estimate.rms)
     return facts(
         "Computation",
         (
             ("modes", f"of the plate as identified from the first list, fit {fit} %"),
-            ("shifts", "of a point mass, radius of gyration 2.5 to 8.5 mm; 2 % of each for its form"),
+            ("shifts", "of a disc of 12, 24 or 48 kg/m2, steel of 1.5 to 6 mm; 2 % of each for its form"),
             ("repeatability", f"{noise} % of a frequency in each list"),
             ("prior", "0.5 for nothing; else 0.05 to 15 % of the plate's mass, even in its logarithm"),
             ("detection limit", "claimed in 95 % of simulated lists, but for the fifth of the plate where a "
@@ -584,7 +702,7 @@ COMMAND: Final = Command(
         option(
             "--sealed",
             metavar="FILE",
-            help="masses and places, a [[coin]] for each LIST: its SHA-256 is shown first, it is opened last",
+            help="masses and places, a [[coin]] for each LIST; its SHA-256 is shown first",
         ),
         TIME_LIMIT,
     ),

@@ -139,10 +139,10 @@ def report(
     known = specimen
     if specimen.plate.layup.n_unknown and not quick:
         stacking = sequence(specimen, seed=seed, executor=executor, workers=workers, watch=watch)
-        known = stacking.most_probable
+        known = replace(specimen, plate=stacking.most_probable.plate)
     elif specimen.plate.layup.n_unknown:
         identification = identify(specimen, seed=seed, watch=watch)
-        known = identification.specimen
+        known = replace(specimen, plate=identification.specimen.plate)
     diagnosis = diagnose(
         known,
         seed=seed,
@@ -204,11 +204,8 @@ def _each_once(texts: Iterable[str]) -> tuple[str, ...]:
 
 _PLATE: Final = "plate"
 """Name of the drawing of the plate, which the parts share."""
-_ALONE: Final = "From the frequencies alone"
-_HOLDS: Final = (
-    "Here the plate model is taken as right and the reference constants are ignored: these are not the "
-    "constants of the answer."
-)
+_RIGHT: Final = "If nothing is wrong"
+_HOLDS: Final = "Here plate and list are taken as right: these are not the constants of the answer."
 
 
 @present.register
@@ -235,7 +232,7 @@ def _present(result: FullReport) -> Report:
     behind.sort(key=lambda section: (_PLATE not in section.figures, section.folded))
     return Report(
         summary=_summary(result, main.summary, [shown.summary for shown in answers.values()]),
-        sections=(*_all_rows(result), *behind, *_frequencies_alone(alone, parts[alone])),
+        sections=(*_all_rows(result), *behind, *_if_right(alone, parts[alone])),
         document={
             **plate_keys(result.command, result.seed, result.specimen),
             "quick": result.quick,
@@ -291,7 +288,7 @@ def _all_rows(result: FullReport) -> tuple[Section, ...]:
     )
 
 
-def _frequencies_alone(name: str, shown: Report) -> tuple[Section, ...]:
+def _if_right(name: str, shown: Report) -> tuple[Section, ...]:
     """The identification as one section, and how it was computed."""
     summary = shown.summary
     parts = [section for section in shown.sections if _PLATE not in section.figures]
@@ -300,9 +297,9 @@ def _frequencies_alone(name: str, shown: Report) -> tuple[Section, ...]:
     said = (_HOLDS, *summary.headline.splitlines(), *summary.lines, *summary.slips, *summary.warnings)
     return (
         Section(
-            _ALONE,
+            _RIGHT,
             (
-                remarks(_ALONE, _each_once(said)),
+                remarks(_RIGHT, _each_once(said)),
                 *summary.tables,
                 *(table for section in behind for table in section.tables),
             ),

@@ -12,8 +12,8 @@ from cpam_bayes.answer import Constant, FrequencyRow, Notice, Reliance
 from cpam_bayes.command import EXECUTOR, TIME_LIMIT, WORKERS, Command, option, whole
 from cpam_bayes.errors import checked
 from cpam_bayes.formatting import decimals_of, fixed, probable, signed, significant
-from cpam_bayes.forward_model.known_errors import thin_plate_errors
-from cpam_bayes.forward_model.model import air_shifts
+from cpam_bayes.forward_model.known_errors import ScaleError, absorbed
+from cpam_bayes.forward_model.model import air_shifts, converged_model, with_references
 from cpam_bayes.forward_model.preconditions import (
     count_slips,
     exchange_notices,
@@ -53,6 +53,7 @@ from cpam_bayes.render.sentences import (
     fit_sentence,
     intervals_sentence,
     plate_argument,
+    references_said,
     reliance_sentences,
 )
 from cpam_bayes.render.stacking import (
@@ -76,6 +77,7 @@ from cpam_bayes.stacking.posterior import (
     n_sampled_classes,
     sample_mixture,
     stacking_posterior,
+    with_tolerances,
 )
 from cpam_bayes.stacking.queries import (
     AngleInformation,
@@ -100,11 +102,13 @@ class StackingResult(PlateResult):
     Attributes
     ----------
     answer : the most probable sequences with their probabilities, marginals of the angles, sums
-    mixture : draws of the constants over all sequences
+    mixture : draws of the constants over all sequences, with the tolerances of sizes, mass and frequency
+        scale in them as they are with the most probable one
     given : the sequence that the paper prints for a built-in specimen, None for other plates
     fit : the most probable sequence beside the measured frequencies
     information : what the frequencies tell about each ply
     explained : whether noise as stated explains what the most probable sequence leaves of the list
+    scale_errors : what errors of sizes, mass and frequency scale do to the constants
     reliances : intervals that rest on the bounds or the prior of another constant
     top : sequences in the JSON document
     """
@@ -117,6 +121,7 @@ class StackingResult(PlateResult):
     fit: BestFit
     information: AngleInformation
     explained: bool
+    scale_errors: tuple[ScaleError, ...]
     reliances: tuple[Reliance, ...]
     top: int
 
@@ -196,6 +201,7 @@ def sequence(
     require_whole("top", top, 1, MAX_LISTED)
     specimen = require_sequence(read_plate(plate).with_unknown_angles())
     require_reachable(specimen)
+    specimen = with_references(specimen)
     settings = replace(DEFAULT_SETTINGS, listed=max(DEFAULT_SETTINGS.listed, top))
     with open_executor(executor, workers) as pool:
         with (
@@ -230,7 +236,22 @@ def stacking_result(
 ) -> StackingResult:
     """The posterior over stacking sequences with what is shown beside it, and its warnings."""
     specimen, fit = answer.specimen, best_fit(answer)
-    measurement = answer.conditional.template.measurement
+    measurement, layup, unknowns = (
+        answer.conditional.template.measurement,
+        _most_probable(answer),
+        specimen.unknowns,
+    )
+    listed = np.flatnonzero(fit.mode >= 0)
+    model = converged_model(layup, unknowns, int(fit.mode.max(initial=0)) + 1)
+    taken_up = absorbed(
+        layup,
+        model,
+        {name: fit.constants[name] for name in unknowns.names},
+        fit.mode[listed],
+        {name: unknowns[name].prior.sd for name in unknowns.names},
+        listed,
+    )
+    widened = with_tolerances(answer, mixture, taken_up.shifts(), seed)
     return StackingResult(
         seed=seed,
         notices=(
@@ -240,14 +261,15 @@ def stacking_result(
         ),
         reached_goal=mixture.converged,
         specimen=specimen,
-        air_shifts=air_shifts(_most_probable(answer)),
+        air_shifts=air_shifts(layup),
         answer=answer,
-        mixture=mixture,
+        mixture=widened,
         given=given,
         fit=fit,
         information=angle_information(specimen.plate.layup, answer.marginals),
         explained=misfit_over_noise(measurement, fit.residual, specimen.unknowns.size) == 1.0,
-        reliances=_reliances(answer, mixture),
+        scale_errors=taken_up.errors(usual=True),
+        reliances=_reliances(answer, widened),
         top=top,
     )
 
@@ -306,9 +328,7 @@ def _present(result: StackingResult) -> Report:
     frequencies = _frequencies(result)
     constants = _constants(result)
     told = tuple(c.name for c in constants if not c.is_open)
-    errors = thin_plate_errors(result.specimen)
-    moved = tuple(name for name in told if name in errors[0].shift)
-    exact = replace(result.specimen.plate, sd={})  # tolerances are ignored here
+    errors = result.scale_errors
     return Report(
         summary=Summary(
             title=f"sequence {result.title}",
@@ -320,7 +340,12 @@ def _present(result: StackingResult) -> Report:
             lines=(
                 _credible(answer),
                 _fit(result),
-                intervals_sentence(exact, errors, moved, also=("all sequences",)),
+                intervals_sentence(
+                    result.specimen.plate,
+                    errors,
+                    told,
+                    also=("all sequences", *references_said(result.specimen)),
+                ),
             ),
             next_step=_next_step(result, every[0]),
             slips=result.slips,
@@ -355,7 +380,7 @@ def _present(result: StackingResult) -> Report:
                 (
                     mixture_table(answer, mixture, given),
                     remarks("Bounds and priors that count", _reliance(result, told)),
-                    errors_table(errors, moved),
+                    errors_table(errors, told),
                 ),
                 ("constants",),
             ),

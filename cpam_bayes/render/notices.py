@@ -12,6 +12,7 @@ from cpam_bayes.answer import Notice, Severity
 from cpam_bayes.formatting import listed, significant
 from cpam_bayes.forward_model.preconditions import likely_cure
 from cpam_bayes.plate import Constraint, to_user, user_name
+from cpam_bayes.plate.edges import CONDITIONS, PLACES
 
 __all__ = ["SENTENCES", "capitalised", "sentence_of", "sentences"]
 
@@ -126,6 +127,13 @@ def _equal_lists(facts: Facts) -> str:
     )
 
 
+def _list_given_twice(facts: Facts) -> str:
+    return (
+        f"The frequencies of {facts['name']} are those of {facts['before']}, digit by digit. Give the list "
+        "that was measured with the mass."
+    )
+
+
 def _axes_exchange(facts: Facts) -> str:
     square = facts["square"]
     why = "the plate is square with four equal edges" if square else "ply angles are unknown"
@@ -146,9 +154,8 @@ def _prior_not_inverted(facts: Facts) -> str:
 
 
 def _sizes_exact(facts: Facts) -> str:
-    names = [user_name(name) for name in facts["names"]]
-    what = _names(names) if names else "sizes, density and mass"
-    return f"{capitalised(what)[:-1]} are assumed exact here: their stated tolerances are ignored."
+    names = _names([user_name(name) for name in facts["names"]])
+    return f"{capitalised(names)[:-1]} are assumed exact here: their stated tolerances are ignored."
 
 
 # Of labels and shapes.
@@ -207,9 +214,14 @@ def _doubtful_list(facts: Facts) -> str:
 # Of the fit.
 
 
+def _frequencies_of(facts: Facts) -> str:
+    """The frequencies of an answer, or those of one plate of several."""
+    return f"the frequencies of {facts['plate']}" if "plate" in facts else "these frequencies"
+
+
 def _large_misfit(facts: Facts) -> str:
     return (
-        "The plate model does not describe these frequencies: its best fit is "
+        f"The plate model does not describe {_frequencies_of(facts)}: its best fit is "
         f"{_percent(facts['misfit'])} off"
     ) + (
         _explained(facts)
@@ -229,6 +241,9 @@ _OF_SLIP: Final = {
     "sides": "length and width exchanged",
     "layup": "the layup turned by 90 degrees",
     "edges": "the neighbouring edge held ({edges})",
+    "supports": "clamped and simply supported edges exchanged ({edges})",
+    "clamped": "the plate clamped at {clamped}, not free ({edges})",
+    "free": "the plate free, not held ({edges})",
     "missed": "mode {number} missing from the list",
     "false": "frequency {number} ({frequency:.6g} Hz) left out",
     "misread": "frequency {number} ({frequency:.6g} Hz) misread",
@@ -241,11 +256,16 @@ def _explained(facts: Facts) -> str:
     if not facts.get("slips"):
         return ""
     said = [
-        _OF_SLIP[kind].format(number=number, frequency=frequency, edges=edges)
+        _OF_SLIP[kind].format(number=number, frequency=frequency, edges=edges, clamped=_clamped(edges))
         + (" (or the layup turned by 90 degrees)" if kind == "sides" and len(set(edges)) == 1 else "")
         for kind, number, frequency, edges in facts["slips"]
     ]
     return f". With {listed(said, 'or')} it fits to {_percent(facts['fit'])}."
+
+
+def _clamped(edges: str) -> str:
+    """The places of the clamps."""
+    return listed([p for p, e in zip(PLACES, edges, strict=True) if CONDITIONS[e].is_clamp], "and")
 
 
 def _high_noise(facts: Facts) -> str:
@@ -371,6 +391,13 @@ def _differing_priors(facts: Facts) -> str:
         f"The files give different priors of {_names(facts['names'])}; those of {facts['taken']} are used "
         "for all plates. Give all files the same."
     )
+
+
+def _list_over_noise(facts: Facts) -> str:
+    return (
+        f"{facts['plate']}: the misfit is {significant(facts['times'], 2)} times the stated noise, by which "
+        "it was widened"
+    ) + (_explained(facts) or ": check this list, its edges and masses.")
 
 
 def _rough_evidences(facts: Facts) -> str:
@@ -507,8 +534,9 @@ def _undescribed_plates(facts: Facts) -> str:
     shown = [f"{name} ({significant(times, 2)} times the noise)" for name, times in worst[:_MOST_NAMED]]
     more = f" and {len(worst) - _MOST_NAMED} more" if len(worst) > _MOST_NAMED else ""
     return (
-        f"The plate model does not describe the frequencies of {', '.join(shown)}{more}. Do not trust their "
-        "constants, nor means and limits with them, until the cause is known."
+        f"The plate model does not describe the frequencies of {', '.join(shown)}{more}. Do not trust "
+        f"{'its' if len(worst) == 1 else 'their'} constants, nor means and limits with them, until the cause "
+        "is known."
     )
 
 
@@ -614,6 +642,7 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "no_frequency_over": _no_frequency_over,
     "large_stated_noise": _large_stated_noise,
     "equal_lists": _equal_lists,
+    "list_given_twice": _list_given_twice,
     "axes_exchange": _axes_exchange,
     "prior_not_fitted": _prior_not_fitted,
     "prior_not_inverted": _prior_not_inverted,
@@ -654,6 +683,7 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "single_frequencies": _single_frequencies,
     "several_optima": _several_optima,
     "differing_priors": _differing_priors,
+    "list_over_noise": _list_over_noise,
     "rough_evidences": _rough_evidences,
     "rough_surrogate": (
         "The log evidence of the surrogate is {rms:.2f} off (rms): the size of the credible set and the "
@@ -730,9 +760,9 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "cut_swarms": "{done} of at least {of} swarms ran",
     "cut_chains": "emcee ended after {done} of at most {of} steps",
     "cut_hypotheses": _cut_hypotheses,
-    "cut_pairs": "no two causes were tested together",
-    "cut_pairs_of_the_best": "pairs about the best pair were not tested",
+    "cut_sets": "not all causes that may act at once were tested together",
     "cut_list_errors": "errors of the lists were not tested together with causes of the plates",
+    "cut_leftovers": "nothing that is left over beside a cause was looked at",
     "cut_evidences": "the evidence of the leading causes is approximate",
     "cut_gain": "neither the gain nor the detection limits were computed",
     "cut_next_tests": "no further tests were ranked",

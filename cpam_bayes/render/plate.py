@@ -181,7 +181,7 @@ def edges_text(edges: str) -> str:
 def plate_sentence(specimen: Specimen) -> str:
     """The plate as the model has it: what is not named here is not in the model."""
     plate = specimen.plate
-    mass = plate.mass if plate.mass is not None else plate.density * plate.area * plate.thickness
+    mass = plate.total_mass
     weight = f", {mass * 1e3:.4g} g" if plate.mesh is None or plate.mass is not None else ""
     layup = "" if specimen.material.isotropic else f", layup {layup_text(specimen)}"
     air = f"air of {specimen.air_density:g} kg/m3" if specimen.air_density else "no air"
@@ -213,7 +213,7 @@ def _density(plate: Plate) -> str:
         return f"{density} from the weighed mass, {plate.mass * 1e3:.5g} g"
     if plate.mesh is not None:
         return f"{density} as given"
-    return f"{density} as given, {plate.density * plate.area * plate.thickness * 1e3:.5g} g"
+    return f"{density} as given, {plate.total_mass * 1e3:.5g} g"
 
 
 _INK, _SURFACE, _SENSOR = "#333333", "#eef2f6", "#b3261e"

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 from cpam_bayes.answer import Constant, FrequencyRow, Notice, Reliance, Verdict
 from cpam_bayes.formatting import NOT_KNOWN, decimals_of, fixed, listed, signed, significant, with_spread
 from cpam_bayes.forward_model.known_errors import FREQUENCY_SCALE, ScaleError
 from cpam_bayes.forward_model.labels import same_label
+from cpam_bayes.forward_model.model import assumed_spreads
 from cpam_bayes.forward_model.preconditions import USUAL_NOISE, contradicts_list
 from cpam_bayes.plate import Hybrid, Material, Measurement, Plate, Specimen, split_name, to_user, unit_of
 from cpam_bayes.plate.laminate import MaterialSymmetry
@@ -23,10 +24,12 @@ __all__ = [
     "attached_step",
     "basis_error_text",
     "constant_details",
+    "constant_keys",
     "constant_rows",
     "constant_title",
     "constants_headline",
     "constants_table",
+    "correction_step",
     "determined_text",
     "diagnose_step",
     "errors_table",
@@ -40,6 +43,7 @@ __all__ = [
     "noise_word",
     "plate_argument",
     "prior_text",
+    "references_said",
     "reliance_sentences",
     "stated_noise",
     "value_text",
@@ -106,9 +110,9 @@ def determined_text(c: Constant) -> str:
     if c.verdict is Verdict.MISFIT:
         return "not determined: the model does not fit"
     if c.verdict is Verdict.PRIOR:
-        return "not determined"
+        return "not determined: the data sheet decides" if c.has_reference_prior else "not determined"
     if c.verdict is Verdict.BOTH:
-        return f"partly: {_prior_counts(c.name, c.prior)}"
+        return f"partly: {_prior_counts(c)}"
     return f"determined, given the range of {listed(c.rests_on, 'and')}" if c.rests_on else "determined"
 
 
@@ -125,8 +129,14 @@ def constants_table(constants: Sequence[Constant], title: str = "") -> Table:
     return constant_rows(constants).table(title)
 
 
-def constant_details(constants: Sequence[Constant], material: Material | Hybrid) -> Table:
-    """Each constant in words, its standard deviation, reference and prior, and what decides its value."""
+def constant_details(
+    constants: Sequence[Constant], material: Material | Hybrid, alone: Sequence[Constant] = ()
+) -> Table:
+    """Each constant in words, its standard deviation, reference and prior, and what decides its value.
+
+    alone : the constants from the frequencies and bounds alone, where they have another prior
+    """
+    without = {c.name: f"{value_text(c)}, {interval_text(c)}" for c in alone}
 
     def sd(c: Constant) -> str:
         return _with_unit(c.name, with_spread(to_user(c.name, c.value), to_user(c.name, c.sd))[1])
@@ -142,6 +152,7 @@ def constant_details(constants: Sequence[Constant], material: Material | Hybrid)
         Column("reference", None, lambda c: to_user(c.name, c.reference), lambda v: f"{v:.6g}", number=True),
         Column("prior", None, lambda c: prior_text(c.name, c.prior)),
         Column("sd / prior's", None, share, number=True),
+        Column("from the frequencies alone", None, lambda c: without.get(c.name)),
         Column("", None, lambda c: c.verdict.value),
     )
     rows = Rows("details", columns, tuple(constants), lambda c: not c.is_determined)
@@ -228,7 +239,7 @@ def intervals_sentence(
     constants : those worth a word. found : sizes whose error the model of the answer contains, beside those
     of [plate.sd]. also : what else the intervals contain, in words.
     """
-    within = {*plate.sd, *found, *(e.name for e in errors if e.sd is not None)}
+    within = {*(n for n, sd in plate.sd.items() if sd > 0.0), *found, *(e.name for e in errors if e.sd)}
     sizes = [words for name, words in _SCALE_WORDS.items() if name in within]
     said = f"The intervals contain {listed(['noise', *sizes, *also], 'and')}."
     moved = [
@@ -245,6 +256,27 @@ def intervals_sentence(
     return f"{said} Not contained: {_SCALE_WORDS[number]} (1 % more moves {constant} by {signed(most, 1)} %)."
 
 
+def references_said(specimen: Specimen) -> tuple[str, ...]:
+    """What is known before, as a part of what intervals contain; none where bounds alone count.
+
+    A former plate's posterior, and the references in the prior: spreads that are assumed, and of which
+    constants where [material.sd] gives those of others.
+    """
+    assumed = assumed_spreads(specimen)
+    unknowns = specimen.unknowns.parameters
+    known = [p.name for p in unknowns if not p.prior.is_range and p.coupled is None]
+    former = ("the former plate",) if any(p.coupled is not None for p in unknowns) else ()
+    if not assumed:
+        return (*former, "the data sheet") if known else former
+    each: dict[float, list[str]] = {}
+    for name, spread in assumed.items():
+        each.setdefault(spread, []).append(name)
+    said = [f"{100.0 * spread:.2g} % assumed" for spread in each]
+    if len(assumed) < len(known) or len(each) > 1:
+        said = [f"{text} for {listed(names, 'and')}" for text, names in zip(said, each.values(), strict=True)]
+    return (*former, f"the data sheet ({', '.join(said)})")
+
+
 def errors_table(errors: Sequence[ScaleError], constants: Sequence[str]) -> Table:
     """How far 1 % of each size, the mass and the frequency scale moves the constants.
 
@@ -259,7 +291,13 @@ def errors_table(errors: Sequence[ScaleError], constants: Sequence[str]) -> Tabl
         (
             _SCALE_WORDS[e.name],
             *(f"{e.shift[name]:+.1f}" if name in e.shift else "" for name in constants),
-            "in the intervals" if e.sd is not None else "shows in the fit" if e.visible > _VISIBLE else "",
+            "exact"
+            if e.sd == 0.0
+            else "in the intervals"
+            if e.sd is not None
+            else "shows in the fit"
+            if e.visible > _VISIBLE
+            else "",
         )
         for e in errors
     )
@@ -291,9 +329,11 @@ def _with_unit(name: str, text: str) -> str:
     return f"{text} {unit_of(name)}".rstrip()
 
 
-def _prior_counts(name: str, prior: Prior) -> str:
-    kind, numbers = _prior_text(name, prior)
-    return f"{kind} {numbers} {'counts' if kind == 'prior' else 'count'}"
+def _prior_counts(c: Constant) -> str:
+    kind, numbers = _prior_text(c.name, c.prior)
+    if c.has_reference_prior:
+        kind = "the data sheet's"
+    return f"{kind} {numbers} {'count' if kind == 'bounds' else 'counts'}"
 
 
 def _percent(relative: float) -> str:
@@ -302,6 +342,21 @@ def _percent(relative: float) -> str:
 
 def _end(c: Constant, i: int) -> float | None:
     return None if c.interval is None else to_user(c.name, c.interval[i])
+
+
+def constant_keys(c: Constant) -> dict[str, Any]:
+    """A point estimate of a constant in a document, in units of the plate file."""
+    return {
+        "value": to_user(c.name, c.value),
+        "sd": to_user(c.name, c.sd),
+        "lower": to_user(c.name, c.prior.lower),
+        "upper": to_user(c.name, c.prior.upper),
+        "q025": _end(c, 0),
+        "q975": _end(c, 1),
+        "bound": c.bound,
+        "verdict": c.verdict.value,
+        "reference": to_user(c.name, c.reference),
+    }
 
 
 _CONSTANT: Final = (
@@ -324,7 +379,11 @@ def constant_title(name: str, material: Material | Hybrid) -> str:
     of, plain = split_name(name)
     part = material.parts.get(of)
     title = "" if part is None else _TITLES_OF[part.symmetry].get(plain, "")
-    return f"{title}{f', {part.name or of}' if of and part is not None else ''}" if title else name
+    return (
+        f"{title}{f', {part.name or of}' if of and part is not None else ''}"
+        if title
+        else _SCALE_WORDS.get(name, name)
+    )
 
 
 def reliance_sentences(
@@ -377,7 +436,7 @@ def attached_step(specimen: Specimen) -> tuple[str, ...]:
     if specimen.sensors:
         return ()
     plate = specimen.plate
-    percent = 0.1 / (plate.mass or plate.density * plate.area * plate.thickness)
+    percent = 0.1 / plate.total_mass
     return (
         "was an accelerometer, cable or tape on the plate? State it in the plate file: 1 g is "
         f"{significant(percent, 2)} % of the plate's mass and makes the moduli too low.",
@@ -395,6 +454,16 @@ def more_modes_step(constants: Sequence[Constant]) -> tuple[str, ...]:
     """Further modes, which may determine the constants that the frequencies leave open."""
     left = listed([c.name for c in constants if not c.is_determined], "and")
     return (f"measure more modes: they may determine {left}.",) if left else ()
+
+
+def correction_step(written: Iterable[str], of: Sequence[str] = ()) -> str:
+    """To correct plate files without whose slips the lists fit.
+
+    written : the files of `--out` that are corrected. of : names of the plates, where there are several
+    """
+    whose = f" of {listed(of, 'and')}" if of else ""
+    files = listed([*written], "and")
+    return f"correct the plate file{whose}{f'; --out DIR writes it as {files}' if files else ''}."
 
 
 def mismatch_step(

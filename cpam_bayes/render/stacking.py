@@ -65,7 +65,9 @@ class ListedSequence(NamedTuple):
         """The "mean" or "sd" of the constants by name, in the units of the plate file."""
         if self.is_sampled:
             return constants_by_name(self.answer, getattr(self.mixture.components[self.i].chains, of))
-        return constants_by_name(self.answer, getattr(self.answer.components.conditionals, of)[self.i])
+        own = self.answer.components.conditionals
+        mean, sd = self.mixture.tolerances.of_moments(own.mean[self.i], own.sd[self.i])
+        return constants_by_name(self.answer, {"mean": mean, "sd": sd}[of])
 
 
 def angles_text(angles_deg: Iterable[float]) -> str:

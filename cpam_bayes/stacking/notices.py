@@ -29,7 +29,6 @@ def stacking_notices(result: StackingPosterior, mixture: StackingMixture, fit: B
     draws = dict(zip(result.conditional.parameters.names, mixture.parameters.T, strict=True))
     return (
         *_of_fit(result, fit),
-        *([Notice("sizes_exact", facts={"names": ()})] if result.specimen.plate.sd else []),
         *_of_sums(result),
         *cut_notices(result.specimen.material, draws),
         *_of_chains(mixture),

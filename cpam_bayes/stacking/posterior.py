@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.build import reduced_model
+from cpam_bayes.forward_model.known_errors import theory_error
 from cpam_bayes.forward_model.model import angle_parameters, reference_vector
+from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.identification.search import required
 from cpam_bayes.inference.assessment import thinned
 from cpam_bayes.inference.ensemble import (
@@ -30,11 +32,12 @@ from cpam_bayes.inference.ensemble import (
 )
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted
-from cpam_bayes.inference.sampling import arviz_data, by_user_name, swarm_on_posterior
+from cpam_bayes.inference.sampling import arviz_data, by_user_name, hashed, swarm_on_posterior
 from cpam_bayes.inference.student_mixture import Weighted, weighted
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.parallel import counted, run
-from cpam_bayes.plate import Specimen, angle_grid
+from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.plate import Material, Specimen, angle_grid
 from cpam_bayes.running import TimeIsUpError, cut_short, single_blas_thread, time_limit
 from cpam_bayes.stacking.conditional import ConditionalFits, ConditionalPosterior, conditional_posterior
 from cpam_bayes.stacking.evaluation import of_sequence, scan_library
@@ -53,6 +56,8 @@ Array = NDArray[Any]
 
 # Modes computed beyond those measured where the frequency list may lack some.
 _SPARE_MODES = 4
+# Sequences over which the error of theory is averaged: a known layup is needed for it.
+_THEORY_SEQUENCES = 32
 # Constants that optimisations may start from.
 _LIBRARY_SIZE = 96
 # Fractions of the largest noise at which the two common starts begin.
@@ -113,7 +118,8 @@ def stacking_problem(
     n_modes = measurement.size + (0 if measurement.complete else _SPARE_MODES)
     parameters = angle_parameters(specimen).union(unknowns)
     model = reduced_model(specimen, parameters, n_modes, notify=notify)
-    error = np.asarray(np.hypot(model.full.error, model.tolerance))
+    by_theory = _theory_error(specimen, model, grid, np.random.default_rng([seed, 10]))
+    error = np.sqrt(model.full.error**2 + model.tolerance**2 + by_theory**2)
     conditional = conditional_posterior(model, layup.n_unknown, measurement, error)
     return StackingProblem(
         specimen=specimen,
@@ -126,6 +132,19 @@ def stacking_problem(
         settings=settings,
         executor=executor,
     )
+
+
+def _theory_error(specimen: Specimen, model: ReducedModel, grid: Array, rng: np.random.Generator) -> Array:
+    """Relative sd of first-order theory, (n_modes,): root mean square over sequences of the grid."""
+    if not isinstance(specimen.material, Material):
+        return np.zeros(model.n_modes)
+    layup, squared = specimen.plate.layup, np.zeros(model.n_modes)
+    x = reference_vector(specimen, model.parameters)
+    for angles in rng.choice(grid, size=(_THEORY_SEQUENCES, layup.n_unknown)):
+        x[: layup.n_unknown] = angles
+        one = replace(specimen, plate=replace(specimen.plate, layup=layup.with_angles(angles)))
+        squared += theory_error(one, model.predict(x[None]).frequencies[0]) ** 2
+    return np.asarray(np.sqrt(squared / _THEORY_SEQUENCES))
 
 
 def common_starts(specimen: Specimen, conditional: ConditionalPosterior) -> Array:
@@ -182,6 +201,28 @@ EMCEE, IMPORTANCE = "emcee", "importance sampling"
 
 
 @dataclass(frozen=True, slots=True)
+class Shifts:
+    """Relative shifts of n parameters, exp(mu + z S), z (k,) standard normal numbers, within their bounds.
+
+    mean : (n,) mu. each : (k, n) S.
+    """
+
+    parameters: ParameterSet
+    mean: Array
+    each: Array
+
+    def of_draws(self, draws: Array, rng: np.random.Generator) -> Array:
+        """Draws (m, n) with shifts of their own."""
+        factors = np.exp(self.mean + rng.standard_normal((len(draws), len(self.each))) @ self.each)
+        return np.asarray(np.clip(draws * factors, self.parameters.lower, self.parameters.upper))
+
+    def of_moments(self, mean: Array, sd: Array) -> tuple[Array, Array]:
+        """Means and standard deviations (n,) with them, to first order."""
+        relative = np.linalg.norm(self.each, axis=0)
+        return mean * np.exp(self.mean), np.hypot(sd, relative * mean)
+
+
+@dataclass(frozen=True, slots=True)
 class Moments:
     """Means and standard deviations of n parameters, and their standard errors, (n,) each."""
 
@@ -189,6 +230,11 @@ class Moments:
     sd: Array
     mean_error: Array
     sd_error: Array
+
+    def shifted(self, shifts: Shifts) -> Moments:
+        """With shifts of the parameters."""
+        mean, sd = shifts.of_moments(self.mean, self.sd)
+        return replace(self, mean=mean, sd=sd, sd_error=self.sd_error * self.sd / sd)
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,6 +266,15 @@ class SampledComponent:
         z_sd = (a.sd - b.sd) / np.hypot(a.sd_error, b.sd_error)
         return float(np.max(np.abs(np.concatenate((z_mean, z_sd)))))
 
+    def shifted(self, shifts: Shifts, rng: np.random.Generator) -> SampledComponent:
+        """With shifts of the parameters."""
+        return replace(
+            self,
+            draws=shifts.of_draws(self.draws, rng),
+            chains=self.chains.shifted(shifts),
+            importance=self.importance.shifted(shifts),
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class StackingMixture:
@@ -234,6 +289,7 @@ class StackingMixture:
     emcee_fraction : probability of the classes sampled by emcee.
     listed_fraction : probability of the other classes that are listed.
     drawn_fraction : probability of all the rest, which sequences drawn from it represent.
+    tolerances : shifts by sizes, mass and frequency scale, which draws and moments have in them.
     """
 
     components: tuple[SampledComponent, ...]
@@ -245,6 +301,7 @@ class StackingMixture:
     emcee_fraction: float
     listed_fraction: float
     drawn_fraction: float
+    tolerances: Shifts
     seconds: float
 
     @property
@@ -417,8 +474,33 @@ def _combined(
         emcee_fraction=float(weight[:n].sum()),
         listed_fraction=float(weight[n:listed].sum()),
         drawn_fraction=float(weight[listed:].sum()),
+        tolerances=_shifts(answer, np.zeros(0), np.zeros((0, 0))),
         seconds=time.perf_counter() - start,
     )
+
+
+def with_tolerances(
+    answer: StackingPosterior, mixture: StackingMixture, shifts: tuple[Array, Array], seed: int
+) -> StackingMixture:
+    """The mixture with errors of what is known to a tolerance, to first order.
+
+    shifts : mean and spread of those of the constants, as of ``Absorbed.shifts``
+    """
+    rng, tolerances = np.random.default_rng([seed, 9]), _shifts(answer, *shifts)
+    return replace(
+        mixture,
+        components=tuple(c.shifted(tolerances, rng) for c in mixture.components),
+        given=None if mixture.given is None else mixture.given.shifted(tolerances, rng),
+        parameters=tolerances.of_draws(mixture.parameters, rng),
+        tolerances=tolerances,
+    )
+
+
+def _shifts(answer: StackingPosterior, mean: Array, each: Array) -> Shifts:
+    """Shifts of the first parameters, the constants; the noise has none."""
+    parameters = answer.conditional.parameters
+    more = (0, parameters.size - len(mean))
+    return Shifts(parameters, np.pad(mean, more), np.pad(each, ((0, 0), more)))
 
 
 def _spread(pool: int, number: int, rng: np.random.Generator) -> Array:
@@ -443,8 +525,9 @@ def inference_data(answer: StackingPosterior, mixture: StackingMixture, command:
         command,
         answer.specimen,
         seed,
-        answer.conditional.at(answer.top[:1]),
+        names,
         {
+            **hashed(answer.conditional.at(answer.top[:1])),
             "layup": answer.specimen.plate.layup.text,
             "enumerated": answer.enumerated,
             "credible_95_count": answer.credible_count,

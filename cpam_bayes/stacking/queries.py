@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -77,6 +78,8 @@ def angle_information(layup: Layup, marginals: Array) -> AngleInformation:
 class BestFit:
     """The most probable stacking sequence at its best constants beside the measured frequencies.
 
+    constants : SI, and what else varies, by name.
+    mode : (n,) of each frequency, -1 where it is paired with none.
     predicted : (n,) Hz; nan where a frequency of a list that may lack modes is paired with none, by the
     most probable pairing.
     residual : (n,) predicted / measured - 1.
@@ -88,6 +91,8 @@ class BestFit:
     bounds : constants at a bound, and which, "lower" or "upper".
     """
 
+    constants: Mapping[str, float]
+    mode: Array
     predicted: Array
     residual: Array
     missed: Array
@@ -118,7 +123,9 @@ def best_fit(answer: StackingPosterior) -> BestFit:
         if len(i):
             p_value = float(chi2.sf(np.sum(((measured - predicted)[i] / sigma) ** 2), len(i)))
     residual = predicted / measured - 1.0
-    return BestFit(predicted, residual, frequencies[pairing.missed], p_value, noise, tuple(bounds))
+    constants = dict(zip(p.names[:n], x[0, :n].tolist(), strict=True))
+    missed = frequencies[pairing.missed]
+    return BestFit(constants, pairing.mode, predicted, residual, missed, p_value, noise, tuple(bounds))
 
 
 @dataclass(frozen=True, slots=True)

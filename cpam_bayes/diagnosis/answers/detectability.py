@@ -27,7 +27,15 @@ from cpam_bayes.diagnosis.evidence.marginal import Marginal
 from cpam_bayes.diagnosis.evidence.optima import SIZE_RANGE
 from cpam_bayes.diagnosis.evidence.sampled import shared_out
 from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed
-from cpam_bayes.diagnosis.hypotheses import CLAIM_RULES, NONE, OTHER, PAIR, causes_in, prior_by_cause
+from cpam_bayes.diagnosis.hypotheses import (
+    CLAIM_RULES,
+    DISCREPANCY,
+    NONE,
+    OTHER,
+    SET,
+    causes_in,
+    prior_by_cause,
+)
 from cpam_bayes.diagnosis.signatures import ABSORBED, ALIKE, AS_WELL, HARDLY
 from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.parameters import Parameter
@@ -66,7 +74,7 @@ def shift_lines(tested: Sequence[Tested], none: Marginal) -> tuple[ShiftLine, ..
     lines: list[ShiftLine] = []
     for t in tested:
         h = t.hypothesis
-        if h.family == PAIR or h.cause in (NONE, OTHER) or not h.parameters or t.shift is None:
+        if h.family == SET or h.cause in (NONE, OTHER) or not h.parameters or t.shift is None:
             continue
         one = len(h.parameters) == 1
         lines += _line(t, t.shift.scores[:, 0], t.shift.shift) if one else _at_places(t, none)
@@ -323,7 +331,7 @@ def linear_oracle(
                     tuple(
                         _densities(t, none, x, float(log_w))
                         for t in weighed.tested
-                        if t.hypothesis.cause == cause
+                        if t.hypothesis.cause == cause and _has_no_line(t)
                     )
                     for cause in without
                 ),
@@ -361,7 +369,8 @@ def _paths(lines: Sequence[ShiftLine], root: Array, sd: Array) -> _Paths:
 
 
 def _has_no_line(t: Tested) -> bool:
-    return t.hypothesis.cause in (NONE, OTHER) or t.hypothesis.other_material
+    is_one_step = t.shift is not None and not t.hypothesis.parameters
+    return t.hypothesis.cause in (NONE, OTHER) or t.hypothesis.other_material or is_one_step
 
 
 def _linear(comparison: LogDensity, x: Array) -> tuple[Array, Array]:
@@ -371,7 +380,7 @@ def _linear(comparison: LogDensity, x: Array) -> tuple[Array, Array]:
     z = comparison.scores.to_z(x[None])
     f, slope = comparison.predict(x[None], jacobian=True)
     assert slope is not None
-    by_score = (slope[0] * comparison.scores.slope(x[None], z)[0] / f[0][:, None])[:, free]
+    by_score = (comparison.scores.by_score(slope, x[None], z)[0] / f[0][:, None])[:, free]
     return by_score, -by_score @ z[0, free]
 
 
@@ -413,7 +422,9 @@ def _noise_levels(none: Marginal, n: int) -> tuple[Array, Array, Array]:
 
 
 def _densities(t: Tested, none: Marginal, at: Array, log_weight: float) -> _Gaussians:
-    """Densities of the residuals under a hypothesis that scatters them, or lets the constants vary more.
+    """Densities of the residuals under a hypothesis without a line.
+
+    It scatters them, lets the constants vary more, or shifts them by one step.
 
     at : (n,) parameters of the plain model, with a level of the noise
     """
@@ -421,12 +432,14 @@ def _densities(t: Tested, none: Marginal, at: Array, log_weight: float) -> _Gaus
     comparison = t.marginal.comparison
     x = comparison.carried(none.comparison, at)
     slope, mean = _linear(comparison, x)
+    if t.shift is not None:
+        mean = mean + t.shift.shift[0]
     if comparison.discrepancy is None:
         covariances = _covariance(comparison, x)[None]
     else:
         probability = (np.arange(_DISCREPANCIES) + 0.5) / _DISCREPANCIES
         each = np.tile(x, (_DISCREPANCIES, 1))
-        each[:, comparison.discrepancy] = t.hypothesis.parameters[0].prior.ppf(probability)
+        each[:, comparison.discrepancy] = DISCREPANCY.prior.ppf(probability)
         covariances = np.stack([_covariance(comparison, row) for row in each])
     return _Gaussians.of(mean, covariances + slope @ slope.T, log_weight)
 

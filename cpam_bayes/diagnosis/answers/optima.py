@@ -163,7 +163,7 @@ def _log_ratio(t: Tested, factor: float) -> float:
     """ln Z' / Z of one hypothesis."""
     comparison, draws = t.marginal.comparison, t.marginal.draws
     log_weight = np.array(t.marginal.log_weight)
-    columns = [*t.columns, *(c for c in comparison.amplitudes if c >= 0)]
+    columns = dict.fromkeys((*t.columns, *comparison.nuisance))
     for column in columns:
         prior = comparison.parameters.parameters[column].prior
         x = draws[:, column]

@@ -230,7 +230,12 @@ class ShiftTable:
 
 
 def size_nodes(comparison: LogDensity, sizes: tuple[int, ...]) -> tuple[Array, Array]:
-    """Nodes (k, d) of an effect's sizes in normal scores and the logs (k,) of their prior weights."""
+    """Nodes (k, d) of an effect's sizes in normal scores and the logs (k,) of their prior weights.
+
+    An effect without a size has one node.
+    """
+    if not sizes:
+        return np.zeros((1, 0)), np.zeros(1)
     if len(sizes) == 1:
         even = size_points(comparison, sizes[0], _SHIFT_EVEN)
         score = np.concatenate((np.linspace(-SIZE_RANGE, SIZE_RANGE, _SHIFT_NODES), even))
@@ -266,7 +271,8 @@ def shift_table(
     at[:, _others(len(x), sizes)] = x[_others(len(x), sizes)]
     plain = x.copy()
     plain[list(sizes)] = null
-    f, _ = comparison.predict(plain[None])
+    bare = comparison if sizes else replace(comparison, model=comparison.model.without_changes())
+    f, _ = bare.predict(plain[None])
     inside, shifted, _ = comparison.predict_inside(at)
     log_prior = log_prior[inside]
     if not len(inside):

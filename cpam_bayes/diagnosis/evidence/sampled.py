@@ -209,4 +209,7 @@ def _rounds_of(t: Tested, best: float) -> Rounds | None:
     """How closely a hypothesis is sampled for its distance from the best; None: it stays as it is."""
     if t.marginal.is_sampled or t.log_weight < best - _IN_SIGHT:
         return None
-    return CLOSE if t.log_weight >= best - _NEAR or t.hypothesis.cause == NONE else ROUGH
+    is_near = t.log_weight >= best - _NEAR
+    if t.hypothesis.has_leftover:
+        return ROUGH if is_near else None
+    return CLOSE if is_near or t.hypothesis.cause == NONE else ROUGH

@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from cpam_bayes.diagnosis.cases import is_incomplete
-from cpam_bayes.diagnosis.comparison import SCATTER, PlateCase, comparison_of, effect_columns, smooth_columns
+from cpam_bayes.diagnosis.comparison import (
+    SCATTER,
+    PlateCase,
+    comparison_of,
+    effect_columns,
+    smooth_columns,
+    with_form_error,
+)
 from cpam_bayes.diagnosis.evidence.marginal import (
     Marginal,
     ShiftTable,
@@ -34,7 +41,7 @@ from cpam_bayes.diagnosis.evidence.pairing_search import (
     repairings,
 )
 from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal, shared_out
-from cpam_bayes.diagnosis.hypotheses import OTHER, Hypothesis
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis, with_leftover
 from cpam_bayes.effects import ListChange
 from cpam_bayes.forward_model.composed import ComposedModel
 from cpam_bayes.inference.log_density import LogDensity
@@ -53,6 +60,12 @@ _ROUND = 8
 _LOG2_PLAIN = 11
 # Optima of the plain model that others start from too.
 _PLAIN_OPTIMA = 4
+# Leading causes, pairs among them, beside which something may be left over.
+_BESIDE = 10
+# A hypothesis leaves nothing over where a larger misfit has more than this probability.
+_NOTHING_LEFT = 0.05
+# Optima that a fit with the forms' errors starts from.
+_FORM_STARTS = 4
 # Score of a size that can only add at which there is hardly any of it.
 _FAINT = -3.0
 # Pairings within so many nats of the best are fitted by themselves, at most so many of a cause.
@@ -92,8 +105,24 @@ def marginal_of(
     starts = plain_starts(comparison, none)
     if known is not None:
         starts = np.concatenate((known, starts))
+    return fitted(comparison, hypothesis, starts, log2_draws=log2_draws, least=least)
+
+
+def fitted(
+    comparison: LogDensity,
+    hypothesis: Hypothesis,
+    starts: Array,
+    *,
+    log2_draws: int = 0,
+    least: float = -np.inf,
+) -> Marginal:
+    """The marginal likelihood from starts (s, n), with what the forms of the effects miss at the optimum."""
     sizes, smooth = effect_columns(comparison, hypothesis), smooth_columns(comparison, hypothesis)
-    return laplace_marginal(comparison, sizes, starts, smooth=smooth, log2_draws=log2_draws, least=least)
+    marginal = laplace_marginal(comparison, sizes, starts, smooth=smooth, log2_draws=log2_draws, least=least)
+    rough = with_form_error(comparison, hypothesis, marginal.best)
+    if rough is comparison:
+        return marginal
+    return laplace_marginal(rough, sizes, marginal.z[:_FORM_STARTS], smooth=smooth, log2_draws=0, least=least)
 
 
 def plain_starts(comparison: LogDensity, none: Marginal | None) -> Array:
@@ -375,19 +404,78 @@ class Scan:
                 continue
             kept[hypothesis.cause] = number + 1
             known = with_misreading(comparisons[i], comparisons[i].carried(plain, fits[i].z))
-            sizes = effect_columns(comparisons[i], hypothesis)
             starts = np.concatenate((known, plain_starts(comparisons[i], self.none)[:1]))
-            smooth = smooth_columns(comparisons[i], hypothesis)
-            marginal = laplace_marginal(comparisons[i], sizes, starts, smooth=smooth, log2_draws=0)
+            marginal = fitted(comparisons[i], hypothesis, starts)
             t = self._as_tested(hypothesis, plates, marginal, cases)
             self.best = max(self.best, t.log_weight)
             self.tested.append(replace(t, shift=self.shift_of(hypothesis, t)))
 
+    def test_leftovers(self) -> None:
+        """Fit the best variants of leading causes that leave a misfit, with what nothing explains beside.
+
+        Where the plain model explains the lists there is nothing to be left over, and nothing is where
+        everything has a cause.
+        """
+        if self.is_explained:
+            return
+        leading: dict[str, Tested] = {}
+        for t in ranked(self.tested):
+            if t.hypothesis.cause not in (NONE, OTHER):
+                leading.setdefault(t.hypothesis.cause, t)
+        other = next((t for t in ranked(self.tested) if t.hypothesis.cause == OTHER), None)
+        if other is None:
+            return
+        scan = replace(self, tested=self.tested[:1], not_tested=[], executor=None)
+        items = [
+            (scan, t, other.marginal)
+            for t in list(leading.values())[:_BESIDE]
+            if misfit_probability(t.marginal) < _NOTHING_LEFT
+        ]
+        beside = {
+            t.key: found
+            for (_, t, _), found in zip(
+                items, shared_out(_leftovers, self.cases, items, self.executor), strict=True
+            )
+            if found
+        }
+        self.tested = [
+            replace(t, hypothesis=with_leftover(t.hypothesis)[0]) if t.key in beside else t
+            for t in self.tested
+        ]
+        for found in beside.values():
+            self.tested += found
+            self.best = max(self.best, *(t.log_weight for t in found))
+
+    def leftovers(self, t: Tested, other: Marginal) -> list[Tested]:
+        """A tested hypothesis with each form of a leftover; none where the plate has no modes then.
+
+        other : the plain model with a leftover, where its fits begin too
+        """
+        found = []
+        for hypothesis in with_leftover(t.hypothesis)[1]:
+            comparison = self.density(hypothesis, t.plates, t.cases)
+            at_cause = comparison.carried(t.marginal.comparison, t.marginal.z[:1])
+            starts = np.concatenate((at_cause, plain_starts(comparison, other)))
+            least = self.best - float(np.log(hypothesis.prior)) - _HOPELESS_NATS
+            with suppress(RigidBodyError):
+                marginal = fitted(comparison, hypothesis, starts, least=least)
+                found.append(replace(t, hypothesis=hypothesis, marginal=marginal, shift=None))
+        return found
+
+    def density(self, hypothesis: Hypothesis, plates: tuple[int, ...], cases: Cases = ()) -> LogDensity:
+        """The lists under a hypothesis about some plates, paired as in cases where these are given."""
+        of_plates = about(self.cases, hypothesis, plates)
+        return comparison_of(cases or self.cases, of_plates, scatter=self.scatter)
+
     def shift_of(self, hypothesis: Hypothesis, t: Tested) -> ShiftTable | None:
-        """The shifts of a hypothesis at the plain model's optimum, if it has a size and the same pairing."""
+        """The shifts of a hypothesis at the plain model's optimum, if it is about the plate or has a size.
+
+        ``None`` where modes are paired otherwise.
+        """
         listed, comparison = hypothesis.listed, t.as_plain or t.marginal.comparison
         sizes = t.marginal.sizes
-        if not sizes or listed.changes_pairing or len(hypothesis.records) != 1:
+        is_known = bool(sizes or hypothesis.effects) and not listed.changes_pairing
+        if not is_known or len(hypothesis.records) != 1:
             return None
         table = shift_table(comparison, hypothesis.parameters, sizes, self.none)
         return table if len(table.scores) else None
@@ -396,6 +484,11 @@ class Scan:
 def _tried(item: tuple[Scan, Trial]) -> Tried:
     scan, trial = item
     return scan.tried(trial)
+
+
+def _leftovers(item: tuple[Scan, Tested, Marginal]) -> list[Tested]:
+    scan, t, other = item
+    return scan.leftovers(t, other)
 
 
 def misfit_probability(marginal: Marginal) -> float:
@@ -410,12 +503,12 @@ def misfit_probability(marginal: Marginal) -> float:
     x = comparison.scores.to_x(z)
     f, slope = comparison.predict(x, jacobian=True)
     assert slope is not None
-    sigma = np.sqrt(comparison.variance(x)[0])
-    a = slope[0, :, :n_model] * comparison.scores.slope(x, z)[0, :n_model] / sigma[:, None]
+    root = np.linalg.inv(np.linalg.cholesky(comparison.covariance(x)[0]))
+    a = root @ comparison.scores.by_score(slope, x, z)[0, :, :n_model]
     values = np.linalg.eigvalsh(a.T @ a)
     used = float(np.sum(values / (values + 1.0)))
-    t = float(np.sum(((comparison.listed.frequencies - f[0]) / sigma) ** 2))
-    return float(chi2.sf(t, max(len(sigma) - used, 1.0)))
+    t = float(np.sum((root @ (comparison.listed.frequencies - f[0])) ** 2))
+    return float(chi2.sf(t, max(len(root) - used, 1.0)))
 
 
 def is_repairing(hypothesis: Hypothesis) -> bool:

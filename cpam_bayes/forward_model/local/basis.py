@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cpam_bayes.forward_model.local.fields import PatchForm, field_parts
 from cpam_bayes.forward_model.local.model import Change, LocalModel, PointMass
 from cpam_bayes.forward_model.local.patch import FURTHER, Patch, loads_of_modes
-from cpam_bayes.forward_model.model import PlateModel, training_sets
+from cpam_bayes.forward_model.model import PlateModel, spread_out, training_sets
 from cpam_bayes.forward_model.reduced import compressed
 from cpam_bayes.mechanics.affine import AffineOperator, DenseBlock
 from cpam_bayes.mechanics.dense import discretise
@@ -185,7 +185,8 @@ def _training(plate: BarePlate, how: LocalSettings) -> tuple[_Training, np.rando
     settings = replace(plate.settings, degree_x=degrees[0], degree_y=degrees[1])
     operator = discretise(problem, local_space(problem, settings), problem.parameters.mapping(plate.samples))
     plain = PlateModel(operator, n_modes, plate.error, (settings, np.empty(0, dtype=bool)))
-    operator = compressed(operator, *plain.coefficients(training_sets(problem, 160, rng)))
+    many = spread_out(problem, training_sets(problem, 160, rng))
+    operator = compressed(operator, *plain.coefficients(many))
     plain, block = replace(plain, operator=operator), symmetry_parts(operator)
     x = np.vstack((plate.samples[:1], training_sets(problem, how.constants, rng)))
     stiffness, mass = plain.coefficients(x)

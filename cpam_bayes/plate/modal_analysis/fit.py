@@ -18,7 +18,7 @@ from scipy.ndimage import median_filter
 from scipy.stats import f as f_distribution
 
 from cpam_bayes.plate.modal_analysis.read import MAINS, FrequencyResponses
-from cpam_bayes.plate.modes_table import small_sample_factor
+from cpam_bayes.plate.modes_of_hits import small_sample_factor
 
 __all__ = [
     "DEFAULT_ORDER",

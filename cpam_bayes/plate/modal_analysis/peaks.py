@@ -15,7 +15,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.plate.instruments import SheetError, sheets
 from cpam_bayes.plate.modal_analysis.fit import (
     DEFAULT_ORDER,
     STANDS_OUT,
@@ -34,7 +33,7 @@ from cpam_bayes.plate.modal_analysis.read import (
     of_folder,
     read_responses,
 )
-from cpam_bayes.plate.modes_table import is_texts, read_modes_table
+from cpam_bayes.plate.modes_table import is_texts, read_sheets
 from cpam_bayes.plate.schema import MAX_FREQUENCIES
 from cpam_bayes.plate.text import Data, Problem, numbers, read_named_file, table
 
@@ -251,11 +250,7 @@ def _of_table(measurement: Data, directory: Path | None) -> tuple[dict[str, Any]
     content, unread = read_named_file(key, name, directory, "a table of peaks")
     if content is None:
         return {}, unread
-    try:
-        read = [read_modes_table(text) for text in sheets(content)]
-    except SheetError as error:
-        return {}, [Problem(key, f"{Path(name).name} {error}")]
-    found, problems = next((one for one in read if one[0] is not None), read[0])
+    found, problems, _ = read_sheets(content)
     if found is None:
         return {}, [Problem(key, f"{Path(name).name} {problem}") for problem in problems]
     rows = sorted((row for row in found.hits if row.hz and row.weight > 0.0), key=lambda row: row.hz or 0.0)

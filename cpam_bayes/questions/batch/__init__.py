@@ -71,7 +71,7 @@ def batch(
     """The constants of many plates by swarm and Laplace's approximation, and their diagnosis.
 
     A plate that fails has a row with the reason, and the others are done. Of up to six plates that the
-    model does not describe it is said why: a slip of the file, or the claim of a diagnosis without pairs.
+    model does not describe it is said why: a slip of the file, or the claim of a diagnosis without sets.
     Plates of one geometry whose thickness and density are within 5 % of the first, length and width within
     1 %, share its models: their lists are carried to its sizes by d log f / d log s at the reference
     constants.
@@ -187,10 +187,9 @@ def _as_given(row: PlateRow, plate: Specimen | PlateRow) -> PlateRow:
     if isinstance(plate, PlateRow):
         return row
     of = plate.plate
-    areal = None if of.mass is None else of.mass / (of.length * of.width)
     return replace(
         row,
-        areal_mass=areal,
+        density=None if of.mass is None else of.density,
         certificate=(("specimen", plate.specimen), *plate.certificate),
         remarks=() if plate.measurement is None else plate.measurement.remarks,
     )
@@ -323,9 +322,9 @@ def _explained(
 
 
 def _brief(shared: None, specimen: Specimen) -> PlateDiagnosis | None:
-    """The diagnosis of a plate without pairs; None where it cannot be asked for."""
+    """The diagnosis of a plate without sets; None where it cannot be asked for."""
     try:
-        return diagnosed(require_diagnosable(specimen), pairs=False)
+        return diagnosed(require_diagnosable(specimen), sets=False)
     except (ValueError, ArithmeticError, RuntimeError):
         return None
 
@@ -368,8 +367,7 @@ def _row(shared: tuple[int, bool], item: tuple[str, Specimen]) -> PlateRow:
 
 def _identified_row(file: str, specimen: Specimen, seed: int, diagnosis: bool) -> PlateRow:
     """The constants of a plate by swarms, and the claim where it is asked for."""
-    # relative residuals: their optimum is that of the posterior, which the limits are asked of
-    point = identify(specimen, seed=seed, residuals="relative")
+    point = identify(specimen, seed=seed)
     whole = None if specimen.measurement is None else specimen.measurement.whole
     row = computed_row(
         file,

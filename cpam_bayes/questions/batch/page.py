@@ -115,7 +115,7 @@ def _lines(result: BatchResult) -> tuple[str, ...]:
     fit = f"Fit {typical} % (median of the plates); the worst is {worst.name}"
     return (
         f"{fit}, {significant(100.0 * worst.rms, 2)} %.",
-        "The intervals contain the noise and the stated tolerances of each plate, but no other error of the "
+        "The intervals contain noise, tolerances and data sheet of each plate, but no other error of the "
         "model. (open): not determined by the frequencies.",
     )
 

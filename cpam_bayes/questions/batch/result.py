@@ -13,7 +13,6 @@ from cpam_bayes import __version__
 from cpam_bayes.batches.limits import ControlChart, Limit, control_chart
 from cpam_bayes.batches.plate_row import PlateDiagnosis, PlateRow, RowConstant
 from cpam_bayes.batches.population import Population
-from cpam_bayes.diagnosis.hypotheses import CLAIM_RULES
 from cpam_bayes.formatting import fixed
 from cpam_bayes.plate import to_user, unit_of, user_name
 from cpam_bayes.render.page import page_text
@@ -51,7 +50,6 @@ _OF_CLAIM: Final = (
     Column(None, "claim", lambda d: d.claim),
     Column(None, "causes", lambda d: list(d.causes)),
     Column(None, "probability", lambda d: d.probability),
-    Column(None, "probability_beside", lambda d: d.probability_beside),
     Column(None, "probability_none", lambda d: d.probability_none),
 )
 """Columns of a `PlateDiagnosis`."""
@@ -238,9 +236,7 @@ def _claim_text(found: PlateDiagnosis) -> str:
     if found.claim == "none":
         return f"none (P {found.probability:.2f})"
     causes = f": {', '.join(found.causes)}" if found.causes else ""
-    more = f", and another (P {found.probability_beside:.2f})"
-    beside = found.probability_beside >= CLAIM_RULES.beside * found.probability
-    return f"{found.claim}{causes} (P {found.probability:.2f}){more if beside else ''}"
+    return f"{found.claim}{causes} (P {found.probability:.2f})"
 
 
 def document(result: BatchResult) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -16,12 +16,14 @@ from cpam_bayes.effects import CATALOGUE
 from cpam_bayes.formatting import listed, significant, with_spread
 from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.questions.batch.result import CERTIFICATE, SURE, BatchResult, BatchVerdict, verdict
-from cpam_bayes.render.report import Section, facts
+from cpam_bayes.render.report import Column, Rows, Section, facts
 
-__all__ = ["certificate_section", "four_verdicts", "limit_step", "why_not_judged"]
+__all__ = ["certificate_section", "four_verdicts", "limit_step", "slip_question", "why_not_judged"]
 
 # Plates of one verdict that are named, and causes of one plate.
 _MOST_NAMED, _MOST_CAUSES = 3, 2
+# What the file of a plate says of its test.
+_STATED: Final = ("specimen", "laboratory", "operator", "date")
 _VERBS: Final[dict[BatchVerdict, tuple[str, str]]] = {
     "pass": ("passes", "pass"),
     "fail": ("fails", "fail"),
@@ -32,6 +34,9 @@ _SLIPS: Final = {
     "sides": "length and width exchanged?",
     "layup": "the layup turned by 90 degrees?",
     "edges": "the neighbouring edge held?",
+    "supports": "clamps that are simple supports, or the reverse?",
+    "clamped": "clamped at an edge, not free?",
+    "free": "free, not held?",
     "missed": "mode {number} missing from the list?",
     "false": "frequency {number} no mode?",
     "misread": "frequency {number} misread?",
@@ -50,29 +55,36 @@ def four_verdicts(result: BatchResult) -> str:
         if not rows:
             continue
         text = f"{len(rows)} {one if len(rows) == 1 else many}"
-        if which in ("fail", "cannot be judged"):
-            each = [f"{row.name}: {_why(result, row, which)}" for row in rows[:_MOST_NAMED]]
-            more = [f"{len(rows) - _MOST_NAMED} more"] if len(rows) > _MOST_NAMED else []
+        why = {row.name: reason for row in rows if (reason := _why(result, row, which))}
+        if why:
+            each = [f"{name}: {reason}" for name, reason in why.items()][:_MOST_NAMED]
+            more = [f"{len(why) - _MOST_NAMED} more"] if len(why) > _MOST_NAMED else []
             text += f" ({'; '.join([*each, *more])})"
         said.append(text)
     return f"{', '.join(said)}."
 
 
 def _why(result: BatchResult, row: PlateRow, which: BatchVerdict) -> str:
-    return why_failed(result, row) if which == "fail" else why_not_judged(result, row)
+    if which == "cannot be judged":
+        return why_not_judged(result, row)
+    pattern = "" if which == "pass" else pattern_of(result, row)
+    return pattern or (_modulus(result, row) if which == "fail" else "")
 
 
-def why_failed(result: BatchResult, row: PlateRow) -> str:
-    """The pattern of a plate that fails: all moduli off by one factor, and its mass; or the modulus."""
+def pattern_of(result: BatchResult, row: PlateRow) -> str:
+    """All moduli off by one factor, and the mass, as a thickness is; "" where they are not."""
     factor = common_factor(result, row)
-    if factor is not None:
-        thin = factor < 1.0
-        change = _of_thickness(result, row, factor)
-        if change is None:
-            return f"{'thinner or softer' if thin else 'thicker or stiffer'}; gauge it"
-        return (
-            f"{'thinner' if thin else 'thicker'} by about {significant(100.0 * abs(change), 1)} %; gauge it"
-        )
+    if factor is None:
+        return ""
+    thin = factor < 1.0
+    change = _of_thickness(result, row, factor)
+    if change is None:
+        return f"{'thinner or softer' if thin else 'thicker or stiffer'}; gauge it"
+    return f"{'thinner' if thin else 'thicker'} by about {significant(100.0 * abs(change), 1)} %; gauge it"
+
+
+def _modulus(result: BatchResult, row: PlateRow) -> str:
+    """The constant that fails its limit most clearly."""
     limit = min(result.limits, key=lambda limit: result.probability(row, limit) or 0.0)
     constant = row.constant(limit.name)
     assert constant is not None
@@ -102,15 +114,20 @@ def common_factor(result: BatchResult, row: PlateRow) -> float | None:
 def _of_thickness(result: BatchResult, row: PlateRow, factor: float) -> float | None:
     """The relative change of thickness that moduli and mass agree on; None where they do not.
 
-    With the mass weighed moduli go with h^3, and the mass with h.
+    With the mass weighed moduli go with h^3 of what is stated too thick, and the density with h.
     """
-    known = [other.areal_mass for other in result.judged if other.areal_mass is not None]
-    if row.areal_mass is None or len(known) < LEAST_PLATES:
+    known = [other.density for other in result.judged if other.density is not None]
+    if row.density is None or len(known) < LEAST_PLATES:
         return None
-    by_mass = math.log(row.areal_mass / float(np.median(known)))
+    by_mass = math.log(row.density / float(np.median(known)))
     by_moduli = math.log(factor) / 3.0
     agree = abs(by_mass) > _SAME and abs(by_mass - by_moduli) < max(_SAME, 0.5 * abs(by_moduli))
     return math.expm1(by_mass) if agree else None
+
+
+def slip_question(kind: str, number: int) -> str:
+    """A slip of a plate file, as a question; number : of its mode or frequency."""
+    return _SLIPS[kind].format(number=number)
 
 
 def why_not_judged(result: BatchResult, row: PlateRow) -> str:
@@ -118,7 +135,7 @@ def why_not_judged(result: BatchResult, row: PlateRow) -> str:
     if row.status == "failed":
         return "no answer"
     if row.slip is not None:
-        return _SLIPS[row.slip[0]].format(number=row.slip[1])
+        return slip_question(*row.slip)
     if row.misfit > 1.0:
         return _cause(row) or f"misfit {significant(row.misfit, 2)} times the noise"
     names = [limit.name for limit in result.limits]
@@ -162,13 +179,17 @@ def limit_step(result: BatchResult) -> str:
 
 
 def certificate_section(result: BatchResult) -> Section:
-    """Who tested what and when, and how the limits were judged; empty without limits."""
+    """Who tested each plate and when, and how the limits were judged; empty without limits.
+
+    What all files say alike stands once.
+    """
     if not result.limits:
         return Section(CERTIFICATE)
-    given = [dict(row.certificate) for row in result.rows]
-    names = ("laboratory", "operator", "date", "specimen")
-    found = {n: list(dict.fromkeys(each[n] for each in given if n in each)) for n in names}
-    rows = [(name, _some(values)) for name, values in found.items() if values]
+    read = tuple(row for row in result.rows if row.certificate)
+    given = {name: {_stated(name, row) for row in read} for name in _STATED}
+    rows = [(name, value) for name, values in given.items() if len(values) == 1 and (value := min(values))]
+    differing = [Column(n, None, partial(_stated, n)) for n, values in given.items() if len(values) > 1]
+    each = Rows("tests", (Column("plate", None, lambda row: row.name), *differing), read if differing else ())
     for row in result.rows:
         rows += [(f"list of {row.name}", remark) for remark in row.remarks]
         if row.all_rows:
@@ -182,12 +203,13 @@ def certificate_section(result: BatchResult) -> Section:
         ("cannot be judged", "the plate model does not describe the list, or the constant is left open"),
         ("computed by", f"cpam_bayes {__version__}, seed {result.seed}"),
     ]
-    return Section(CERTIFICATE, (facts("Test, and how limits were judged", rows),))
+    judged = facts("Test, and how limits were judged", rows)
+    return Section(CERTIFICATE, (each.table("The test of each plate"), judged))
 
 
-def _some(values: Sequence[str]) -> str:
-    more = [f"{len(values) - 12} more"] if len(values) > 12 else []
-    return listed([*values[:12], *more], "and")
+def _stated(name: str, row: PlateRow) -> str:
+    """What the file of a plate says under a name of its certificate; "" where it says nothing."""
+    return dict(row.certificate).get(name, "")
 
 
 def _guard(result: BatchResult, limit: Limit) -> str:

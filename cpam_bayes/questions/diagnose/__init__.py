@@ -19,7 +19,7 @@ from cpam_bayes.diagnosis.evidence.marginal import distinct_hypotheses, prior_of
 from cpam_bayes.diagnosis.evidence.sampled import ready
 from cpam_bayes.diagnosis.extension import FrequencyRow, paired_fit, plain_mode_shapes
 from cpam_bayes.diagnosis.fit import Fit, inferred_noise
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, P_NONE, P_PAIR, with_prior_of_none
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, P_NONE, P_SETS, SET, with_prior_of_none
 from cpam_bayes.diagnosis.next_test import Candidate, next_measurements
 from cpam_bayes.diagnosis.notices import diagnosis_notices
 from cpam_bayes.effects import CATALOGUE, Effect
@@ -39,6 +39,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_seed,
     stated_noise_slips,
 )
+from cpam_bayes.identification.joint import require_one_material
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, unit_of, user_name
 from cpam_bayes.questions.diagnose.claim import (
@@ -148,7 +149,7 @@ def diagnose(
             f"plates: received {len(plates) or 'none'}, accepted: one plate or more, {MAX_PLATES} at most"
         )
     specimens = tuple(require_diagnosable(read_plate(plate)) for plate in plates)
-    _require_one_material(specimens)
+    require_one_material(specimens)
     for specimen in specimens:
         require_reachable(specimen)
     names = " ".join(s.name for s in specimens)
@@ -256,39 +257,6 @@ def _diagnosed(
             progress=progress,
             so_far=lambda shares: shown.found({titles.get(name, name): p for name, p in shares.items()}),
         )
-
-
-def _require_one_material(specimens: Sequence[Specimen]) -> None:
-    """Refuse plates that cannot share their constants, or of which two are the same."""
-    names = [s.name for s in specimens]
-    twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
-    if twice is not None:
-        raise ValueError(
-            f"PLATE: received {twice} twice, accepted: plates of different names; one list counts once"
-        )
-    first = specimens[0]
-    for other in specimens[1:]:
-        same = other.material.name == first.material.name
-        if not (same and other.material.symmetry == first.material.symmetry):
-            raise ValueError(
-                f"{other.source}: material {other.material.name or 'not named'}, while {first.name} has "
-                f"{first.material.name or 'none named'}; plates that are diagnosed together share their "
-                "constants: give plates of one material, with the same material.name"
-            )
-    for i, other in enumerate(specimens):
-        tested = next((s for s in specimens[:i] if s.specimen == other.specimen), None)
-        if tested is not None and _sizes(tested) != _sizes(other):
-            raise ValueError(
-                f"{other.source}: specimen {other.specimen} has other sizes, density or layup than in "
-                f"{tested.source}; files of one specimen are tests of one plate: give them the same [plate] "
-                "but for the edges, or names of their own to the specimens"
-            )
-
-
-def _sizes(specimen: Specimen) -> tuple[float | str, ...]:
-    """The sizes that do not change from test to test of a plate."""
-    plate = specimen.plate
-    return (plate.length, plate.width, plate.thickness, plate.density, plate.layup.text)
 
 
 # A residual of so many standard deviations is marked.
@@ -580,15 +548,15 @@ def _plates_section(result: DiagnosisResult) -> Section:
 
 
 def _work(d: Diagnosis, seed: int) -> Table:
-    families = {t.hypothesis.family for t in d.weighed.tested} - {NONE, OTHER, "pair"}
+    families = {t.hypothesis.family for t in d.weighed.tested} - {NONE, OTHER, SET}
     prior = d.weighed.none.hypothesis.prior
     other = prior_of([t for t in d.weighed.tested if t.hypothesis.cause == OTHER])
-    pairs = P_PAIR * (1.0 - prior) / (1.0 - P_NONE)
+    several = sum(P_SETS.values()) * (1.0 - prior) / (1.0 - P_NONE)
     rows = (
         (
             "prior probabilities",
-            f"nothing wrong {prior:g}, unknown error {other:.3g}, two at once {pairs:.3g}, the rest evenly "
-            f"over {len(families)} families of causes",
+            f"nothing wrong {prior:g}, unknown error {other:.3g}, several at once {several:.3g}, the rest "
+            f"evenly over {len(families)} families of causes",
         ),
         (
             "work",

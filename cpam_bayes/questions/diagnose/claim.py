@@ -16,7 +16,7 @@ from cpam_bayes.diagnosis.hypotheses import CLAIM_RULES, NONE, OTHER, Claim, cau
 from cpam_bayes.diagnosis.next_test import Candidate
 from cpam_bayes.effects import Effect
 from cpam_bayes.formatting import listed, significant
-from cpam_bayes.forward_model.known_errors import ScaleError, number_of, scale_errors
+from cpam_bayes.forward_model.known_errors import ScaleError, absorbed, number_of
 from cpam_bayes.plate import Specimen
 from cpam_bayes.questions.diagnose.document import (
     FEW,
@@ -95,7 +95,7 @@ def claim_sentence(d: Diagnosis) -> str:
             return f"No evidence of an error (Bayes factor {significant(d.bayes_factor, 2)})."
         case "named":
             cause = by_name[d.claim.causes[0]]
-            if d.probability_beside < CLAIM_RULES.beside * d.claim.probability:
+            if not d.beside and cause.probability >= _CONTAINED * d.claim.probability:
                 return f"{_capital(_found(d, cause))} (probability {p})."
             said = _capital(title_of(d, cause.name) + _of_plates(d, cause))
             return f"{said} (probability {p}){_alone(d, cause)}."
@@ -105,8 +105,8 @@ def claim_sentence(d: Diagnosis) -> str:
                 f"Something is wrong: {which}, which these frequencies cannot tell apart (probability {p})."
             )
         case "pair":
-            pair = next(c for c in d.causes if set(causes_in(c.name)) == set(d.claim.causes))
-            return f"Two errors at once: {_found(d, pair)} (probability {p})."
+            number = {2: "Two", 3: "Three"}[len(d.claim.causes)]
+            return f"{number} errors at once: {_found(d, d.several)} (probability {p})."
         case "other":
             return f"Something is wrong that no known error explains (probability {p})."
     return _undecided(d)
@@ -114,9 +114,10 @@ def claim_sentence(d: Diagnosis) -> str:
 
 def _undecided(d: Diagnosis) -> str:
     """The headline where nothing is claimed: open is the cause, or whether there is one."""
-    causes = [c for c in d.causes if c.name != NONE][:FEW]
+    acting = {**d.inclusion, OTHER: d.weighed.by_cause().get(OTHER, 0.0)}
+    causes = dict(sorted(acting.items(), key=lambda entry: -entry[1])[:FEW])
     if d.weighed.is_cut_short:
-        causes = [c for c in causes if c.probability >= _TOLD]
+        causes = {name: p for name, p in causes.items() if p >= _TOLD}
         begun = "Undecided: time was up before every cause was tested"
         return f"{begun}; most probable so far: {_with_probabilities(d, causes)}." if causes else f"{begun}."
     wrong, open_ = probability_text(d.something_wrong), _with_probabilities(d, causes)
@@ -130,12 +131,12 @@ def _undecided(d: Diagnosis) -> str:
     return f"Perhaps something is wrong ({wrong}, Bayes factor {factor}); what, is open: {open_}."
 
 
-def _with_probabilities(d: Diagnosis, causes: Sequence[Cause]) -> str:
-    return ", ".join(f"{title_of(d, c.name)} {probability_text(c.probability)}" for c in causes)
+def _with_probabilities(d: Diagnosis, causes: Mapping[str, float]) -> str:
+    return ", ".join(f"{title_of(d, name)} {probability_text(p)}" for name, p in causes.items())
 
 
 def _found(d: Diagnosis, cause: Cause) -> str:
-    """A cause with its size and where it is; of a pair, one after the other."""
+    """A cause with its size and where it is; of a set, one after the other."""
     said, in_list = [], _in_list(d, cause)
     for effect in cause.hypothesis.records:
         size = size_text(cause, (effect,))
@@ -192,11 +193,14 @@ def _fit_sentence(d: Diagnosis) -> str:
     """How well the model fits, before and after what was found."""
     before = significant(100.0 * d.baseline.rms, 2)
     if d.extended is not None and d.claim.kind != OTHER:
-        allowing = {"class": "Allowing for one of them", "pair": "Allowing for both"}
+        allowing = {"class": "Allowing for one of them", "pair": "Allowing for these"}
         after = significant(100.0 * d.extended.rms, 2)
-        return (
-            f"{allowing.get(d.claim.kind, 'Allowing for it')}, the misfit falls from {before} % to {after} %."
+        fit = (
+            f"{allowing.get(d.claim.kind, 'Allowing for it')}, the misfit falls from {before} % to {after} %"
         )
+        probability, size = d.leftover
+        left = f"; {significant(100.0 * size, 2)} % remains unexplained" if probability >= 0.5 else ""
+        return f"{fit}{left}."
     noise = inferred_noise(d.weighed.plain)
     levels = [level for level, _ in stated_levels(d)]
     return fit_sentence(
@@ -224,7 +228,7 @@ def stated_levels(d: Diagnosis) -> list[tuple[float, str]]:
 
 def _beside(d: Diagnosis) -> tuple[str, ...]:
     """Possible further errors beside the claimed one."""
-    if d.probability_beside < CLAIM_RULES.beside * d.claim.probability:
+    if not d.beside:
         return ()
     said = some_of([f"{title_of(d, name)} {probability_text(p)}" for name, p in d.beside.items()])
     return (f"Perhaps also: {said}.",)
@@ -357,12 +361,10 @@ def checked_effects(d: Diagnosis) -> tuple[Effect, ...]:
     """The effects that the laboratory should check: those claimed, or the probable ones where none is."""
     if d.claim.kind == NONE:
         return ()
-    causes = [
-        c for c in d.causes if c.name in d.claim.causes or set(causes_in(c.name)) == set(d.claim.causes)
-    ]
+    names = list(d.claim.causes)
     if d.claim.kind in ("undecided", OTHER):
-        likely = [c for c in d.causes if c.name not in (NONE, OTHER) and c.probability >= _LIKELY]
-        causes = likely[:_CHECKED]
+        names = [name for name, p in d.inclusion.items() if p >= _LIKELY][:_CHECKED]
+    causes = [c for c in d.causes if c.name in names]
     return tuple({e.name: e for cause in causes for e in cause.hypothesis.records}.values())
 
 
@@ -385,4 +387,5 @@ def scale_errors_of(d: Diagnosis, specimen: Specimen) -> tuple[ScaleError, ...]:
     # plates of several materials have no constants in common
     constants = {n: found.get(n, models.parameters[n].prior.mean) for n in specimen.unknowns.names}
     prior_sd = {name: models.parameters[name].prior.sd for name in constants}
-    return scale_errors(specimen, models.bare.full, constants, case.modes[paired], prior_sd, paired)
+    taken_up = absorbed(specimen, models.bare.full, constants, case.modes[paired], prior_sd, paired)
+    return taken_up.errors(usual=True)

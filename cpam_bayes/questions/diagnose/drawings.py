@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from cpam_bayes.answer import Constant
 from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.extension import FrequencyRow
-from cpam_bayes.diagnosis.hypotheses import CLAIM_RULES, NONE, causes_in
+from cpam_bayes.diagnosis.hypotheses import CLAIM_RULES, NONE
 from cpam_bayes.diagnosis.signatures import ALIKE, cosine
 from cpam_bayes.effects import Effect
 from cpam_bayes.formatting import listed
 from cpam_bayes.plate import Plate, to_user, unit_of
-from cpam_bayes.plate.edges import conditions
 from cpam_bayes.questions.diagnose.document import (
     DiagnosisResult,
     answer_constants,
@@ -89,9 +88,9 @@ def _plate(result: DiagnosisResult) -> Drawing:
 
 
 def _claimed(d: Diagnosis) -> tuple[Cause, ...]:
-    """The causes that are claimed: one, the members of a class, or the pair."""
+    """The causes that are claimed: one, the members of a class, or a set."""
     if d.claim.kind == "pair":
-        return tuple(c for c in d.causes if set(causes_in(c.name)) == set(d.claim.causes))
+        return (d.several,)
     if d.claim.kind in ("named", "class"):
         return tuple(c for c in d.causes if c.name in d.claim.causes)
     return ()
@@ -107,8 +106,8 @@ def _draw_found(result: DiagnosisResult, found: Sequence[Cause], axes: Axes, i: 
         for effect in cause.hypothesis.records:
             if effect.is_anywhere:
                 _draw_place(axes, cause, effect, plate)
-            elif effect.drawn == "held edges":
-                _draw_clamped_edges(axes, plate)
+            elif effect.edges is not None:
+                _draw_edges(axes, plate, effect.edges(d.cases[i].models.facts))
             elif effect.drawn:
                 _draw_angle(axes, cause, effect, plate)
             size = size_text(cause, (effect,))
@@ -153,13 +152,12 @@ def _draw_place(axes: Axes, cause: Cause, effect: Effect, plate: Plate) -> None:
             axes.add_patch(Ellipse((px, py), 2.0 * reach, 2.0 * reach, **style))
 
 
-def _draw_clamped_edges(axes: Axes, plate: Plate) -> None:
-    """The clamped edges."""
+def _draw_edges(axes: Axes, plate: Plate, edges: Sequence[int]) -> None:
+    """Some of the edges, by their numbers."""
     a, b = 1e3 * plate.length, 1e3 * plate.width
     ends = (((0, 0), (0, b)), ((0, a), (0, 0)), ((a, a), (0, b)), ((0, a), (b, b)))
-    for edge, (x, y) in zip(conditions(plate.edges), ends, strict=True):
-        if edge.is_clamp:
-            axes.plot(x, y, color=PREDICTED, linewidth=4.0, zorder=4)
+    for i in edges:
+        axes.plot(*ends[i], color=PREDICTED, linewidth=4.0, zorder=4)
 
 
 def _draw_angle(axes: Axes, cause: Cause, effect: Effect, plate: Plate) -> None:
@@ -326,7 +324,7 @@ def _with_plates(d: Diagnosis, cause: Cause) -> str:
 
 def _with_signatures(d: Diagnosis) -> list[str]:
     """Single causes that leave something to be seen, the most probable first."""
-    return [c.name for c in d.causes if c.name in d.signatures and not c.is_pair and not c.absorbed]
+    return [c.name for c in d.causes if c.name in d.signatures and not c.is_set and not c.absorbed]
 
 
 def _alike_together(d: Diagnosis) -> list[str]:

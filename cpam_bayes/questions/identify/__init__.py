@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, Final, Literal, get_args
 
-from cpam_bayes.command import PLATE, TIME_LIMIT, Command, option, whole
+from cpam_bayes.command import TIME_LIMIT, Command, option, positive, whole
 from cpam_bayes.identification.search import MOST_SWARMS, Residual
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS
 from cpam_bayes.inference.posterior import Likelihood
@@ -17,16 +17,17 @@ from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.plate import PlateLike, read_plate
 from cpam_bayes.questions.identify import posterior as posterior  # how a posterior is shown
 from cpam_bayes.questions.identify.emcee import SampledResult, sample
+from cpam_bayes.questions.identify.joint import MAX_SCATTER, JointResult
 from cpam_bayes.questions.identify.pso import PointResult, identify
 from cpam_bayes.running import SILENT, Watch
 
-__all__ = ["COMMAND", "PointResult", "SampledResult", "answered", "identify", "sample"]
+__all__ = ["COMMAND", "JointResult", "PointResult", "SampledResult", "answered", "identify", "sample"]
 
 Backend = Literal["pso", "emcee"]
 
 # Options that one back end alone has.
 _OWN: Final[dict[Backend, tuple[str, ...]]] = {
-    "pso": ("residuals", "swarms", "particles", "iterations"),
+    "pso": ("residuals", "swarms", "particles", "iterations", "scatter"),
     "emcee": ("steps", "store", "likelihood", "noise"),
 }
 # Shape of the noise -> its degrees of freedom.
@@ -60,10 +61,36 @@ def answered(
     return sample(plate, seed=seed, watch=watch, **asked)
 
 
+def _answered(
+    plate: PlateLike, *more: PlateLike, backend: Backend | None = None, **given: Any
+) -> PointResult | JointResult | SampledResult:
+    """The answer for one plate, or the joint one for several, which the swarm alone gives."""
+    if not more:
+        return answered(plate, backend=backend, **given)
+    if backend == "emcee":
+        raise ValueError(
+            f"--backend emcee: received {1 + len(more)} plates, accepted: one; several are identified "
+            "together by pso, whose intervals are those of their posterior"
+        )
+    asked = {name: value for name, value in given.items() if value is not None}
+    foreign = [name for name in asked if name in _OWN["emcee"]]
+    if foreign:
+        raise ValueError(f"--{foreign[0]}: not an option of the back end pso; leave it out")
+    settings = {name: asked.pop(name) for name in ("particles", "iterations") if name in asked}
+    second, *others = more
+    return identify(plate, second, *others, settings=SwarmSettings(**settings), **asked)
+
+
 COMMAND: Final = Command(
-    answered,
+    _answered,
     (
-        PLATE,
+        option(
+            "plates",
+            nargs="+",
+            metavar="PLATE",
+            help="built-in specimens or paths of plate files; several are plates of one material, which "
+            "share their constants, or with equal `specimen` one plate under several tests",
+        ),
         option(
             "--backend",
             choices=get_args(Backend),
@@ -74,7 +101,7 @@ COMMAND: Final = Command(
             "--residuals",
             choices=get_args(Residual),
             help="pso: what the swarm minimises, squares of differences in Hz, eq. (7), of relative ones, or "
-            "of whitened ones, whose posterior gives the intervals (default: absolute)",
+            "of whitened ones, whose posterior gives the intervals (default: whitened)",
         ),
         option(
             "--swarms",
@@ -82,6 +109,13 @@ COMMAND: Final = Command(
             metavar="N",
             help="pso: swarms at most, until two have found the best optimum, 1 to 1000; 1 is the paper's "
             f"single swarm, not polished (default: {MOST_SWARMS})",
+        ),
+        option(
+            "--scatter",
+            type=positive(MAX_SCATTER),
+            metavar="S",
+            help="of several plates: standard deviation of a constant from plate to plate, relative, "
+            f"above 0, at most {MAX_SCATTER:g} (default: 0.02)",
         ),
         option(
             "--particles",

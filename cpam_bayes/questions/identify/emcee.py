@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -14,9 +13,9 @@ from numpy.typing import NDArray
 
 from cpam_bayes.answer import Constant, FrequencyRow, Notice, Reliance, Verdict
 from cpam_bayes.errors import checked
-from cpam_bayes.forward_model.known_errors import ScaleError, scale_errors
+from cpam_bayes.forward_model.known_errors import FREQUENCY_SCALE, ScaleError, absorbed
 from cpam_bayes.forward_model.labels import LabelledModel, ShapePairing, by_shape, list_order
-from cpam_bayes.forward_model.model import SIZES, air_shifts, discretisation_error
+from cpam_bayes.forward_model.model import SIZES, air_shifts, discretisation_error, with_references
 from cpam_bayes.forward_model.preconditions import (
     common_factor_slips,
     count_slips,
@@ -28,7 +27,6 @@ from cpam_bayes.forward_model.preconditions import (
     noise_slips,
     reference_slips,
     require_choice,
-    require_reachable,
     require_seed,
     require_supported,
     stated_noise_slips,
@@ -36,6 +34,7 @@ from cpam_bayes.forward_model.preconditions import (
 from cpam_bayes.forward_model.reduced import ReducedModel, basis_error
 from cpam_bayes.identification.point import reliances, sampled_notices, verdict_of
 from cpam_bayes.identification.search import NO_MESH, required, start_of
+from cpam_bayes.identification.slips import Slip, corrected_texts, require_reachable_or_slip, with_slips
 from cpam_bayes.inference.assessment import (
     Assessment,
     assess,
@@ -48,10 +47,18 @@ from cpam_bayes.inference.completeness import TranscriptionError, transcription_
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, Diagnostics, EnsembleResult, EnsembleSettings
 from cpam_bayes.inference.pairing import Pairing
 from cpam_bayes.inference.posterior import NOISE_NAMES, Likelihood, Posterior
-from cpam_bayes.inference.sampling import Evidence, arviz_data, by_user_name, evidence_of, sample_from
+from cpam_bayes.inference.sampling import (
+    Evidence,
+    arviz_data,
+    by_user_name,
+    described,
+    evidence_of,
+    hashed,
+    sample_from,
+)
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.mechanics.modes import Mode
-from cpam_bayes.plate import Measurement, PlateLike, Specimen, read_plate, to_user, user_name
+from cpam_bayes.plate import Measurement, PlateLike, Specimen, read_plate, user_name
 from cpam_bayes.plate.laminate import flexural_constants
 from cpam_bayes.priors import Prior
 from cpam_bayes.result import PlateResult, within_time
@@ -100,7 +107,7 @@ class SampledResult(PlateResult):
     posterior : what was sampled; ``posterior.log_prob`` takes parameter vectors
     constants : name -> elastic constant in SI, its value the mean; `to_dict` and `to_dataframe` have the
         units of the plate file
-    sizes : name -> size of the plate that has a standard deviation, likewise
+    sizes : name -> size or mass of the plate, or frequency scale, that is not exact, likewise
     marginals : name -> marginal posterior of every parameter, the noise among them
     predicted, predicted_sd : (n_modes,) posterior mean and sd of the model's frequencies, Hz
     modes : the model's modes at the most probable draw
@@ -119,6 +126,7 @@ class SampledResult(PlateResult):
     result : chains and diagnostics of the ensembles
     seconds_sampling : of the ensembles, without the plate model, the swarm and what follows
     by_shape : what measured shapes say of the modes at the reference constants, None without them
+    explained_by : slips of the plate file without which it fits, the most probable first
     """
 
     command: ClassVar[str] = "identify"
@@ -146,6 +154,7 @@ class SampledResult(PlateResult):
     seconds_sampling: float
     seconds: float
     by_shape: ShapePairing | None = None
+    explained_by: tuple[Slip, ...] = ()
 
     @property
     def has_draws(self) -> bool:
@@ -177,6 +186,10 @@ class SampledResult(PlateResult):
             mode, mean, sd = self.modes[j], float(self.predicted[j]), float(self.predicted_sd[j])
             rows.append(FrequencyRow(float(f), mean, mode.kind, mode.label, int(j) + 1, sd))
         return tuple(rows)
+
+    def texts(self) -> Mapping[str, str]:
+        """The plate file without the slip that explains the misfit, where it can be written."""
+        return corrected_texts(self.specimen, self.explained_by)
 
     @property
     def missed(self) -> tuple[FrequencyRow, ...]:
@@ -243,7 +256,8 @@ def sample(
         raise ValueError(f"store: received {str(store)!r}, accepted: a directory")
     specimen = require_supported(read_plate(plate), NO_MESH)
     required(specimen)
-    require_reachable(specimen)
+    require_reachable_or_slip(specimen, seed)
+    specimen = with_references(specimen)
     latest: list[Diagnostics] = []
 
     def described(r_hat: float) -> str:
@@ -303,7 +317,7 @@ def _sampled(
     notify("assessing the posterior")
     evidence = evidence_of(posterior, result, seed)
     solves = begun.solves + result.solves + evidence.solves
-    return _summarise(specimen, posterior, model, result, evidence, solves, (start, sampling), seed)
+    return _summarise(specimen, posterior, model, result, evidence, solves, (start, sampling), seed, notify)
 
 
 def _summarise(
@@ -315,6 +329,7 @@ def _summarise(
     solves: int,
     clock: tuple[float, float],
     seed: int,
+    notify: Callable[[str], None],
 ) -> SampledResult:
     rng = np.random.default_rng([seed, 3])
     draws = result.draws
@@ -347,7 +362,9 @@ def _summarise(
     p_value = predictive_p_value(posterior, few, frequencies, pairing, rng)
     shown_modes, shapes = tuple(modes[j] for j in order), by_shape(model)
     noise = marginals.get("relative_std")
-    slips = _slips(specimen, measurement, left, constants, noise, inferred=inferred)
+    misfit, excess = _excess(measurement, left, len(constants), noise, inferred=inferred)
+    excess, explained_by = with_slips(excess, specimen, misfit, seed, notify)
+    slips = _slips(specimen, measurement, constants, excess, is_named=bool(explained_by))
     return SampledResult(
         seed=seed,
         specimen=specimen,
@@ -358,7 +375,7 @@ def _summarise(
         sizes={
             name: _constant(specimen, posterior, name, m, explained=True)
             for name, m in marginals.items()
-            if name in SIZES
+            if name in SIZES or name == FREQUENCY_SCALE
         },
         marginals=marginals,
         predicted=predicted,
@@ -380,6 +397,7 @@ def _summarise(
         seconds_sampling=sampling,
         seconds=time.perf_counter() - start,
         by_shape=shapes,
+        explained_by=explained_by,
         notices=(
             *slips,
             *(() if slips or noise is None else high_noise_notices(noise.mean)),
@@ -395,16 +413,10 @@ def _residuals(measurement: Measurement, predicted: Array, pairing: Pairing) -> 
     return np.asarray(of_mode / measurement.frequencies - 1.0)
 
 
-def _slips(
-    specimen: Specimen,
-    measurement: Measurement,
-    residuals: Array,
-    constants: Mapping[str, Constant],
-    noise: Marginal | None,
-    *,
-    inferred: bool,
-) -> tuple[Notice, ...]:
-    """Likely slips that ruin the posterior.
+def _excess(
+    measurement: Measurement, residuals: Array, n_fitted: int, noise: Marginal | None, *, inferred: bool
+) -> tuple[float, tuple[Notice, ...]]:
+    """The misfit, relative, and what is said of it where it is more than noise.
 
     residuals : (n,) of the mean, nan where a frequency belongs to no mode. noise : relative, if inferred.
     """
@@ -412,7 +424,19 @@ def _slips(
     misfit = float(np.sqrt(np.mean(known**2))) if known.size else 0.0
     excess = misfit_slips(max(misfit if noise is None else noise.mean, misfit))
     if not excess and not inferred:
-        excess = noise_slips(measurement, residuals, len(constants))
+        excess = noise_slips(measurement, residuals, n_fitted)
+    return misfit, excess
+
+
+def _slips(
+    specimen: Specimen,
+    measurement: Measurement,
+    constants: Mapping[str, Constant],
+    excess: tuple[Notice, ...],
+    *,
+    is_named: bool,
+) -> tuple[Notice, ...]:
+    """Likely slips that ruin the posterior; excess : of the misfit, is_named : whether it names a slip."""
     determined = {
         c.name: (c.value, c.sd) for c in constants.values() if c.verdict in (Verdict.DATA, Verdict.MISFIT)
     }
@@ -420,7 +444,7 @@ def _slips(
         *stated_noise_slips(measurement),
         *count_slips(measurement.size, len(constants)),
         *excess,
-        *common_factor_slips(specimen, determined),
+        *(() if is_named else common_factor_slips(specimen, determined)),
         *reference_slips(specimen),
     )
 
@@ -437,14 +461,14 @@ def _scale_errors(
     _, unknowns = required(specimen)
     values = model.parameters.mapping(best[: model.parameters.size])
     known = pairing.mode >= 0
-    return scale_errors(
+    return absorbed(
         specimen,
         model.full,
         {name: float(values[name]) for name in unknowns.names},
         order[pairing.mode[known]],
         {name: unknowns[name].prior.sd for name in unknowns.names},
         np.flatnonzero(known),
-    )
+    ).errors(usual=posterior.noise_name != "absolute_sd")
 
 
 def _reliances(posterior: Posterior, draws: Array, names: tuple[str, ...]) -> tuple[Reliance, ...]:
@@ -482,21 +506,23 @@ def _constant(
     specimen: Specimen, posterior: Posterior, name: str, marginal: Marginal, *, explained: bool
 ) -> Constant:
     """A constant, or a size; explained : whether the noise explains the misfit."""
-    prior = posterior.parameters[name].prior
+    parameter, at_bound = posterior.parameters[name], marginal.bound is not None
     return Constant(
         name=name,
         value=marginal.mean,
         sd=marginal.sd,
         interval=(marginal.q025, marginal.q975),
-        prior=prior,
+        prior=parameter.prior,
         reference=_reference(specimen, name),
-        verdict=verdict_of(marginal.sd, prior.sd, at_bound=marginal.bound is not None, explained=explained),
+        verdict=verdict_of(marginal.sd, parameter.unmeasured_sd, at_bound=at_bound, explained=explained),
     )
 
 
 def _reference(specimen: Specimen, name: str) -> float:
     if name in SIZES:
         return float(getattr(specimen.plate, name))
+    if name == FREQUENCY_SCALE:
+        return 1.0
     return float(specimen.material.complete().get(name, np.nan))
 
 
@@ -532,6 +558,7 @@ def inference_data(result: SampledResult) -> Any:
     total, pointwise = log_likelihoods(posterior, flat, predicted, result.pairing)
     rows, columns = paired(result.pairing)
     rng = np.random.default_rng([result.seed, 2])
+    of_plate, sizes = described(result.specimen, None)
 
     def replicated(x: Array, f: Array) -> Array:
         noise = posterior.noise_model.sample(rng, (len(x), len(rows)))
@@ -541,25 +568,21 @@ def inference_data(result: SampledResult) -> Any:
     prior = posterior.parameters.sample(rng, _PRIOR_DRAWS)
     prior = prior[np.isfinite(posterior.log_prior(prior))]
     before = replicated(prior, posterior.predict(prior))
-    measurement, plate = posterior.measurement, result.specimen.plate
+    measurement = posterior.measurement
     given = "frequency_sd_hz" if measurement.frequency_sd is not None else "relative_std"
     return arviz_data(
         result.command,
         result.specimen,
         result.seed,
-        posterior,
+        names,
         {
+            **hashed(posterior),
+            **of_plate,
             "noise": f"{posterior.noise_name}, inferred"
             if posterior.noise_is_inferred
             else f"{given}, given",
             "noise_degrees_of_freedom": posterior.degrees_of_freedom,
             "resolution_hz": measurement.resolution,
-            "specimen": result.specimen.specimen,
-            "symmetry": result.specimen.material.symmetry,
-            "held_constants": _held(result),
-            **_repeatability(result),
-            "layup": plate.layup.text,
-            "edges": plate.edges,
             "list_is_complete": int(measurement.complete),
             "thinned_by": chains.step,
             "r_hat": result.result.diagnostics.r_hat,
@@ -578,29 +601,9 @@ def inference_data(result: SampledResult) -> Any:
             },
             "posterior_predictive": {"frequencies_hz": replicate.reshape(*shape, -1)},
             "prior_predictive": {"frequencies_hz": before[None]},
-            "constant_data": {
-                "length_mm": to_user("length", plate.length),
-                "width_mm": to_user("width", plate.width),
-                "thickness_mm": to_user("thickness", plate.thickness),
-                "density_kg_m3": plate.density,
-            },
+            "constant_data": sizes,
             "observed_data": {"frequencies_hz": measurement.frequencies[rows]},
         },
         dims={"frequencies_hz": ["mode"]},
         coords={"mode": [f"{j + 1} {result.modes[j].label}".strip() for j in columns]},
     )
-
-
-def _held(result: SampledResult) -> str:
-    """The constants of [material] that did not vary, by their names in the plate file."""
-    constants, unknowns = result.specimen.material.constants, result.specimen.unknowns
-    held = {user_name(n): to_user(n, v) for n, v in constants.items() if n not in unknowns}
-    return json.dumps(held, sort_keys=True)
-
-
-def _repeatability(result: SampledResult) -> dict[str, float]:
-    """The relative standard deviation of a measured frequency where it was given."""
-    measurement = result.posterior.measurement
-    if measurement.frequency_sd is not None:
-        return {"repeatability": float(np.mean(measurement.frequency_sd / measurement.frequencies))}
-    return {} if measurement.relative_std is None else {"repeatability": measurement.relative_std}

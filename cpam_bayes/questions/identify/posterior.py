@@ -12,6 +12,7 @@ import numpy as np
 from cpam_bayes.answer import Constant, FrequencyRow
 from cpam_bayes.formatting import NOT_KNOWN, fixed, listed, signed, significant, with_spread
 from cpam_bayes.identification.point import BY_DATA, BY_PRIOR
+from cpam_bayes.identification.slips import slip_records
 from cpam_bayes.inference.assessment import MOVED, Combination, MovedBound
 from cpam_bayes.inference.completeness import Profile
 from cpam_bayes.plate import to_user, user_name
@@ -42,6 +43,7 @@ from cpam_bayes.render.sentences import (
     constant_rows,
     constants_headline,
     constants_table,
+    correction_step,
     diagnose_step,
     errors_table,
     fit_sentence,
@@ -51,6 +53,7 @@ from cpam_bayes.render.sentences import (
     intervals_sentence,
     mismatch_step,
     more_modes_step,
+    references_said,
     reliance_sentences,
 )
 from cpam_bayes.render.spectrum import peak_drawings, peak_keys, peak_rows, peak_sections
@@ -121,7 +124,7 @@ def _present(result: SampledResult) -> Report:
                 if residuals.size
                 else "None of the frequencies belongs to a mode of the plate model.",
                 *_gaps(result),
-                intervals_sentence(specimen.plate, result.scale_errors, use),
+                intervals_sentence(specimen.plate, result.scale_errors, use, also=references_said(specimen)),
             ),
             next_step=next(iter(steps), ""),
             slips=result.slips,
@@ -149,7 +152,10 @@ def _present(result: SampledResult) -> Report:
             Section(
                 "Which constants move together, and what decides them",
                 (
-                    _combinations_table(result.posterior.model.parameters.names, assessment.combinations),
+                    _combinations_table(
+                        result.posterior.model.parameters.names,
+                        assessment.combinations[: len(result.constants)],
+                    ),
                     _sensitivity_table(result),
                 ),
                 ("posterior",),
@@ -206,9 +212,11 @@ def _gaps(result: SampledResult) -> tuple[str, ...]:
 def _steps(result: SampledResult, use: Sequence[str]) -> tuple[str, ...]:
     """Next steps, the most useful first."""
     specimen = result.specimen
+    mismatch = mismatch_step(specimen, result.notices, [row.label for row in result.frequencies])
     return (
+        *((correction_step(result.texts()),) if result.explained_by else ()),
         *(("allow more steps: --steps N.",) if result.status == "budget" else ()),
-        *mismatch_step(specimen, result.notices, [row.label for row in result.frequencies]),
+        *(() if result.explained_by else mismatch),
         *diagnose_step(specimen),
         *attached_step(specimen),
         *gauge_step(specimen, result.scale_errors, use),
@@ -496,6 +504,7 @@ def _document(result: SampledResult, modes: Rows) -> dict[str, Any]:
             for s in result.assessment.power_scaling
         },
         "bounds_moved": _bounds_moved(result),
+        "explained_by": slip_records(result.explained_by),
         "relative_error_estimate": float(np.max(result.error)),
         "laminate": {
             laminate_unit(name)[0]: {
@@ -621,10 +630,10 @@ def _diagnostics(result: SampledResult) -> dict[str, Any]:
 
 def _drawings(result: SampledResult, modes: Rows) -> tuple[Drawing, ...]:
     """Marginals first, then pairs, modes left out, mode shapes."""
-    names = listed(list(result.posterior.parameters.names), "and")
     constants = listed([p.name for p in result.assessment.profiles], "and")
     rows = [m.row for m in modes.rows if m.left_out is not None]
     title, draws = result.specimen.name, _draws(result)
+    names = listed(list(draws.names), "and")
     return (
         Drawing(
             "marginals_and_profiles",
@@ -666,11 +675,15 @@ def _drawings(result: SampledResult, modes: Rows) -> tuple[Drawing, ...]:
 
 
 def _draws(result: SampledResult) -> Draws:
+    """The draws that are drawn: without sizes of which the file states no sd, which are as assumed."""
     stated = {name: c.reference for name, c in (*result.constants.items(), *result.sizes.items())}
-    parameters = result.posterior.parameters.parameters
+    every = result.posterior.parameters.parameters
+    of_plate = result.specimen.plate.sd
+    drawn = [k for k, p in enumerate(every) if p.name not in result.sizes or p.name in of_plate]
+    parameters = [every[k] for k in drawn]
     return Draws(
         names=tuple(p.name for p in parameters),
-        values=result.result.draws,
+        values=result.result.draws[:, drawn],
         priors=tuple(p.prior for p in parameters),
         references=tuple(stated.get(p.name, math.nan) for p in parameters),
     )

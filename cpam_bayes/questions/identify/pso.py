@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, TypeVar, overload
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from cpam_bayes.answer import Constant, FrequencyRow, Notice, Verdict
 from cpam_bayes.errors import checked
 from cpam_bayes.formatting import signed, significant
 from cpam_bayes.forward_model.labels import labelled_model
-from cpam_bayes.forward_model.model import air_shifts, constant_parameters
+from cpam_bayes.forward_model.model import air_shifts, with_references
 from cpam_bayes.forward_model.preconditions import (
     common_factor_slips,
     count_slips,
@@ -26,7 +26,6 @@ from cpam_bayes.forward_model.preconditions import (
     reference_slips,
     require_choice,
     require_paired_list,
-    require_reachable,
     require_seed,
     require_supported,
     stated_noise_slips,
@@ -34,9 +33,17 @@ from cpam_bayes.forward_model.preconditions import (
 from cpam_bayes.identification.angle_search import AngleSearchResult, search_angles
 from cpam_bayes.identification.point import PointEstimate, estimate_constants, point_notices
 from cpam_bayes.identification.search import MOST_SWARMS, NO_MESH, Optimum, Residual, required
-from cpam_bayes.identification.slips import GROSS, Slip, corrected_file, explaining_slips
+from cpam_bayes.identification.slips import (
+    Slip,
+    corrected_texts,
+    require_reachable_or_slip,
+    slip_records,
+    with_slips,
+)
+from cpam_bayes.inference.sampling import arviz_data, by_user_name, described
 from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings
 from cpam_bayes.plate import Measurement, PlateLike, Specimen, read_plate, to_user, unit_of, user_name
+from cpam_bayes.questions.identify.joint import JointResult, identify_jointly
 from cpam_bayes.render.figures import PREDICTED, extent_of, new_figure, shapes_figure
 from cpam_bayes.render.plate import assurance_drawings, assurance_sections, plate_section, shape_keys
 from cpam_bayes.render.report import (
@@ -58,9 +65,11 @@ from cpam_bayes.render.report import (
 from cpam_bayes.render.sentences import (
     attached_step,
     constant_details,
+    constant_keys,
     constant_rows,
     constants_headline,
     constants_table,
+    correction_step,
     diagnose_step,
     errors_table,
     fit_sentence,
@@ -71,10 +80,11 @@ from cpam_bayes.render.sentences import (
     mismatch_step,
     more_modes_step,
     plate_argument,
+    references_said,
     reliance_sentences,
 )
 from cpam_bayes.result import PlateResult, present, within_time
-from cpam_bayes.running import SILENT, Watch, is_time_up
+from cpam_bayes.running import SILENT, Watch
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -83,6 +93,8 @@ __all__ = ["PointResult", "identify"]
 
 Estimate = TypeVar("Estimate")
 
+# Draws of a posterior that is stored.
+_EVEN_DRAWS: Final = 2000
 RESIDUALS: Final = ("absolute", "relative", "whitened")
 
 
@@ -137,10 +149,32 @@ class PointResult(PlateResult):
         names = [c.name for c in self.estimate.constants]
         return tuple((o, dict(zip(names, o.x.tolist(), strict=True))) for o in self.estimate.optima)
 
+    @property
+    def has_draws(self) -> bool:
+        """There are draws of a posterior, of whitened residuals."""
+        return self.estimate.draws is not None
+
+    def to_arviz(self) -> Any:
+        """Equally probable draws of the constants for arviz, one chain, as in ``posterior.nc``.
+
+        They are of the posterior about all optima, with the usual errors of sizes and mass.
+        """
+        draws = self.estimate.draws
+        if draws is None:
+            return PlateResult.to_arviz(self)
+        names = self.specimen.unknowns.names
+        attributes, sizes = described(self.specimen, self.estimate.noise)
+        groups = {
+            "posterior": by_user_name(names, draws.even(_EVEN_DRAWS)[None]),
+            "constant_data": sizes,
+            "observed_data": {"frequencies_hz": required(self.specimen)[0].frequencies},
+        }
+        dims = {"frequencies_hz": ["mode"]}
+        return arviz_data(self.command, self.specimen, self.seed, names, attributes, groups, dims, {})
+
     def texts(self) -> Mapping[str, str]:
         """The plate file without the slip that explains the misfit, where it can be written."""
-        found = corrected_file(self.specimen, self.explained_by[0]) if self.explained_by else None
-        return {} if found is None else {"corrected.toml": found}
+        return corrected_texts(self.specimen, self.explained_by)
 
     def rms_of_optima(self) -> list[float]:
         """Root mean square of the relative residuals at every optimum."""
@@ -163,17 +197,46 @@ class PointResult(PlateResult):
         )
 
 
+@overload
+def identify(
+    plate: PlateLike,
+    /,
+    *,
+    seed: int = 0,
+    residuals: Residual | None = None,
+    swarms: int = MOST_SWARMS,
+    settings: SwarmSettings | None = None,
+    watch: Watch = SILENT,
+) -> PointResult: ...
+
+
+@overload
+def identify(
+    plate: PlateLike,
+    second: PlateLike,
+    /,
+    *more: PlateLike,
+    seed: int = 0,
+    residuals: Residual | None = None,
+    swarms: int = MOST_SWARMS,
+    settings: SwarmSettings | None = None,
+    scatter: float | None = None,
+    watch: Watch = SILENT,
+) -> JointResult: ...
+
+
 @checked
 @within_time
 def identify(
     plate: PlateLike,
-    *,
+    *more: PlateLike,
     seed: int = 0,
-    residuals: Residual = "absolute",
+    residuals: Residual | None = None,
     swarms: int = MOST_SWARMS,
     settings: SwarmSettings | None = None,
+    scatter: float | None = None,
     watch: Watch = SILENT,
-) -> PointResult:
+) -> PointResult | JointResult:
     """Elastic constants of a plate by particle swarms, eq. (1), (2) and (7), polished by derivatives.
 
     A single swarm may agree on a wrong optimum. Swarms are therefore run until two of them have found the
@@ -184,36 +247,52 @@ def identify(
     Parameters
     ----------
     plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
-    residuals : what is minimised: squared "absolute" differences in Hz, eq. (7), or "relative" ones, at whose
-        optimum the constants are linearised; or "whitened" ones, over the scatter of noise, solver and
-        theory: the constants are then those of the posterior about all optima, with the usual errors of what
-        [plate.sd] leaves out and what [material.sd] says of the references
+    more : further plates of the material, or tests of the plate, which share the constants
+    residuals : what is minimised: squared "whitened" differences, over the scatter of noise, solver and
+        theory, the default: the constants are then those of the posterior about all optima, with the prior of
+        all verbs, and the usual errors of what [plate.sd] leaves out; several plates have these alone. Or
+        "absolute" ones in Hz, eq. (7), or "relative" ones, at whose optimum within the bounds of [unknowns]
+        the constants are linearised
     swarms : swarms at most, three at least; 1 is the paper's single swarm as it ends, not polished
     settings : particles, iterations and weights of each swarm
+    scatter : of several plates, relative standard deviation of a constant from plate to plate; 0.02 if left
+        out
     watch : display of the progress; none where left out
 
     Raises
     ------
     ValueError
-        If the plate cannot be read, has no measured frequencies or no unknowns, may lack modes
-        (``complete = false``), or if no particle of the initial swarm is feasible.
+        If plates are not of one material or have different unknowns; if a plate cannot be read, has no
+        measured frequencies or no unknowns, may lack modes (``complete = false``), or if no particle
+        of the initial swarm is feasible.
 
     Examples
     --------
     >>> import cpam_bayes as cb
     >>> point = cb.identify("A1", seed=0)
     >>> point.status, round(point.constants["E1"].value / 1e9)
-    ('converged', 67)
+    ('converged', 68)
     """
     require_seed(seed)
-    require_choice("residuals", residuals, RESIDUALS)
     if swarms < 1:
         raise ValueError(f"swarms: received {swarms}, accepted: 1 or more")
+    if more:
+        require_choice("residuals", residuals or "whitened", ("whitened",))
+        return identify_jointly((plate, *more), seed, swarms, settings or SwarmSettings(), scatter, watch)
+    if scatter is not None:
+        raise ValueError("scatter: received one plate, accepted: several; leave it out")
+    residuals = residuals or "whitened"
+    require_choice("residuals", residuals, RESIDUALS)
     specimen = require_paired_list(require_supported(read_plate(plate), NO_MESH, angles=True))
+    if specimen.unknowns.root is not None and residuals != "whitened":
+        raise ValueError(
+            f'residuals: received "{residuals}" of a plate whose [material] has a former posterior, '
+            'accepted: "whitened", which alone uses a prior; leave it out'
+        )
     measurement, _ = required(specimen)
-    require_reachable(specimen)
+    require_reachable_or_slip(specimen, seed)
     if residuals == "whitened":
-        specimen = replace(specimen, unknowns=constant_parameters(specimen))
+        specimen = with_references(specimen)
     settings = settings or SwarmSettings()
     unit, factor = _UNITS[residuals]
 
@@ -241,23 +320,18 @@ def identify(
     unsure = [Notice("angles_disagree")] if angles is not None and angles.swarm.status == "budget" else []
     left = np.array([mode.frequency for mode in estimate.predicted]) / measurement.frequencies - 1.0
     excess = misfit_slips(misfit) or noise_slips(measurement, left, k)
-    explained_by: tuple[Slip, ...] = ()
-    if excess and estimate.rms > GROSS and not is_time_up():
-        watch.announce("the misfit is gross: trying slips of the plate file")
-        explained_by = explaining_slips(specimen, seed)
-        of_slips = tuple((s.kind, s.number, s.frequency, s.corrected.plate.edges) for s in explained_by)
-        fit = max((s.rms for s in explained_by), default=0.0)
-        excess = tuple(replace(n, facts={**n.facts, "slips": of_slips, "fit": fit}) for n in excess)
+    excess, explained_by = with_slips(excess, specimen, estimate.rms, seed, watch.announce)
+    # what has its reference in its prior is not compared with it
     determined = {
         c.name: (c.value, c.sd)
-        for c in estimate.constants
+        for c in estimate.alone or estimate.constants
         if c.verdict in (Verdict.DATA, Verdict.MISFIT) and not c.elsewhere
     }
     slips = (
         *stated_noise_slips(measurement),
         *count_slips(n, k),
+        *(() if explained_by else common_factor_slips(specimen, determined)),
         *excess,
-        *common_factor_slips(specimen, determined),
         *reference_slips(specimen),
     )
     return PointResult(
@@ -314,7 +388,7 @@ def _present(result: PointResult) -> Report:
                     freedom=measurement.size - len(constants),
                 ),
                 *(
-                    (intervals_sentence(plate, estimate.scale_errors, use),)
+                    (intervals_sentence(plate, estimate.scale_errors, use, also=references_said(specimen)),)
                     if any(c.interval is not None for c in constants)
                     else ()
                 ),
@@ -340,7 +414,7 @@ def _present(result: PointResult) -> Report:
                 "Constants",
                 (
                     *(() if result.angles is None else (_angles(result.angles),)),
-                    constant_details(constants, specimen.material),
+                    constant_details(constants, specimen.material, estimate.alone),
                     *((optima.table("Optima that the noise does not tell apart"),) if several else ()),
                     errors_table(estimate.scale_errors, [c.name for c in constants]),
                     remarks(
@@ -374,8 +448,7 @@ def _steps(result: PointResult, use: Sequence[str]) -> tuple[str, ...]:
     plate = plate_argument(specimen)
     steps = [*mismatch_step(specimen, result.notices, [row.label for row in result.frequencies])]
     if result.explained_by:
-        written = "; --out DIR writes it as corrected.toml" if result.texts() else ""
-        steps = [f"correct the plate file{written}."]
+        steps = [correction_step(result.texts())]
     posterior = f"get the posterior of the constants.  cpam-bayes identify {plate} --backend emcee"
     if result.angles is None:
         steps += [*diagnose_step(specimen), posterior]
@@ -448,7 +521,12 @@ def _document(result: PointResult, frequencies: Rows, optima: Rows) -> dict[str,
         "residuals": result.residuals,
         "status": result.status,
         "message": result.message,
-        "constants": {user_name(c.name): _constant_keys(c) for c in estimate.constants},
+        "constants": {user_name(c.name): constant_keys(c) for c in estimate.constants},
+        **(
+            {"frequencies_alone": {user_name(c.name): constant_keys(c) for c in estimate.alone}}
+            if estimate.alone
+            else {}
+        ),
         **({} if angles is None else {"angles_deg": angles.angles_deg.tolist()}),
         "frequencies": frequencies.records(),
         "optima": [
@@ -461,10 +539,7 @@ def _document(result: PointResult, frequencies: Rows, optima: Rows) -> dict[str,
             for row in optima.rows
         ],
         **shape_keys(estimate.by_shape, specimen.measurement),
-        "explained_by": [
-            {"slip": s.kind, "number": s.number, "frequency_hz": s.frequency, "rms_percent": 100.0 * s.rms}
-            for s in result.explained_by
-        ],
+        "explained_by": slip_records(result.explained_by),
         "rms_percent": 100.0 * estimate.rms,
         "noise_percent": 100.0 * estimate.noise,
         "noise_source": "residuals" if estimate.noise_is_inferred else "plate file",
@@ -477,21 +552,6 @@ def _document(result: PointResult, frequencies: Rows, optima: Rows) -> dict[str,
         "seconds": estimate.seconds + (0.0 if angles is None else angles.seconds),
         "warnings": list(result.warnings),
         "notes": list(specimen.notes),
-    }
-
-
-def _constant_keys(c: Constant) -> dict[str, Any]:
-    low, high = (None, None) if c.interval is None else (to_user(c.name, end) for end in c.interval)
-    return {
-        "value": to_user(c.name, c.value),
-        "sd": to_user(c.name, c.sd),
-        "lower": to_user(c.name, c.prior.lower),
-        "upper": to_user(c.name, c.prior.upper),
-        "q025": low,
-        "q975": high,
-        "bound": c.bound,
-        "verdict": c.verdict.value,
-        "reference": to_user(c.name, c.reference),
     }
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Final
@@ -29,6 +29,7 @@ from cpam_bayes.printed.tables import (
     percentage_checks,
     printed_table,
 )
+from cpam_bayes.questions.paper.noise import means_of_ten, noise_rows, noisy_angles
 from cpam_bayes.questions.paper.present import page, report_of, row_table
 from cpam_bayes.questions.paper.rows import (
     BUILT_IN,
@@ -47,9 +48,6 @@ from cpam_bayes.questions.paper.rows import (
     frequency_rows,
     input_rows,
     layup_rows,
-    means_of_ten,
-    noise_rows,
-    noisy_angles,
 )
 from cpam_bayes.questions.paper.work import (
     FULL,
@@ -57,6 +55,7 @@ from cpam_bayes.questions.paper.work import (
     Effort,
     Task,
     calculix_frequencies,
+    comes_with_the_package,
     diagnoses,
     packaged,
     read,
@@ -67,17 +66,24 @@ from cpam_bayes.questions.paper.work import (
     write,
 )
 from cpam_bayes.render.report import Report, csv_text, plain
+from cpam_bayes.render.terminal import duration
 from cpam_bayes.result import Result, present
 from cpam_bayes.running import SILENT, TimeIsUpError, Watch
 from cpam_bayes.storage import cache_directory
 
-__all__ = ["PaperResult", "paper", "tasks_of"]
+__all__ = ["PaperResult", "compared", "computations", "paper", "tasks_of"]
 
 # Of a computation; what was packaged before has no fingerprint.
 _STAMPED: Final = ("version", "fingerprint", "date", "seconds")
 # Thick plates take longest: they begin first, so that no worker starts one at the end, and their constants
 # before their noise, which needs a model that these build.
 _LONGEST: Final = ("D4", "D3", "D1", "D2")
+# Work that takes up to hours: what it is called, and the tables that it is for.
+_SLOW: Final = {
+    "calculix": ("CalculiX, 20-node bricks", {1, 5}),
+    "diagnoses": ("diagnoses of the measured lists", {1, 5}),
+    "sequences": ("posteriors over stacking sequences", {9, 11, 12, 13, 14}),
+}
 _NOISE: Final = {number: name for name, number in TABLES.items()}
 
 
@@ -139,7 +145,7 @@ class PaperResult(Result):
     def texts(self) -> Mapping[str, str]:
         """The rows as a CSV file, and the page as Markdown."""
         document = _document(self)
-        return {"paper.csv": csv_text(row_table(document)), "comparison.md": page(plain(document))}
+        return {"comparison.csv": csv_text(row_table(document)), "comparison.md": page(plain(document))}
 
 
 @present.register
@@ -162,9 +168,8 @@ def paper(
 ) -> PaperResult:
     """The paper's tables, printed values beside computed ones, with a verdict on each.
 
-    Finished computations are stored, and the same call goes on from there. Posteriors over stacking
-    sequences, frequencies of CalculiX and diagnoses of the measured lists come with the package, with version
-    and date.
+    The computations come with the package, with version and date. What is computed anew is stored, and the
+    same call goes on from there.
 
     Parameters
     ----------
@@ -195,18 +200,43 @@ def paper(
     start = time.perf_counter()
     effort = QUICK if quick else FULL
     directory = cache_directory() / "paper" if store is None else Path(store)
-    computed = _computed(numbers, effort, seed, everything, executor, workers, directory, watch)
-    calculix, sequences, diagnosed = packaged("calculix"), packaged("sequences"), packaged("diagnoses")
-    if everything and not quick:
-        if shutil.which("ccx") is not None and {1, 5} & set(numbers):
-            calculix = calculix_frequencies(watch)
-        if set(numbers) & {9, 11, 12, 13, 14}:
-            sequences = sequence_cases(seed, executor, workers, watch)
-        if {1, 5} & set(numbers):
-            diagnosed = diagnoses(seed, watch)
+
+    def known(task: Task) -> Results | None:
+        if everything:
+            return None
+        return read(directory, effort, task) or (comes_with_the_package(task) if effort.full else None)
+
+    slow = _slow(numbers) if everything and not quick else ()
+    for name in slow:
+        watch.announce(f"{_SLOW[name][0]}: about {duration(packaged(name)['seconds'])} on one core")
+    computed = computations(numbers, effort, seed, known, directory, executor, workers, watch)
+    anew = {
+        "calculix": lambda: calculix_frequencies(watch),
+        "diagnoses": lambda: diagnoses(seed, watch),
+        "sequences": lambda: sequence_cases(seed, executor, workers, watch),
+    }
+    found = {name: anew[name]() for name in slow}
+    seconds = time.perf_counter() - start
+    return compared(numbers, computed, seed=seed, slow=found, quick=quick, seconds=seconds)
+
+
+def compared(
+    numbers: tuple[int, ...],
+    computed: Mapping[Task, Results],
+    *,
+    seed: int,
+    slow: Mapping[str, Mapping[str, Any]] | None = None,
+    quick: bool = False,
+    seconds: float = 0.0,
+) -> PaperResult:
+    """Printed values beside finished computations; nothing is computed.
+
+    slow : "calculix", "sequences" and "diagnoses"; those that come with the package where left out.
+    """
+    stored = {**{name: packaged(name) for name in _SLOW}, **(slow or {})}
+    calculix, sequences, diagnosed = (stored[name] for name in ("calculix", "sequences", "diagnoses"))
     by_task: Computed = {(task.kind, task.specimen, task.case): results for task, results in computed.items()}
     rows = tuple(row for n in numbers for row in _rows(n, by_task, calculix, sequences))
-    records = {task.title: results for task, results in computed.items()}
     return PaperResult(
         seed=seed,
         notices=tuple(_notices(computed, quick)),
@@ -217,33 +247,36 @@ def paper(
         simulation_errors=tuple(error for n in numbers for error in simulation_errors(n, diagnosed)),
         costs=tuple(_costs(computed, calculix)),
         computed={
-            **{title: {k: r[k] for k in _STAMPED if k in r} for title, r in records.items()},
-            **_stored_records(numbers, calculix, sequences, diagnosed),
+            **{task.title: _stamped(results) for task, results in computed.items()},
+            **{
+                title: _stamped(stored[name])
+                for name, (title, tables) in _SLOW.items()
+                if tables & set(numbers)
+            },
         },
         quick=quick,
-        seconds=time.perf_counter() - start,
+        seconds=seconds,
     )
 
 
-def _computed(
-    numbers: tuple[int, ...],
+def computations(
+    numbers: Sequence[int],
     effort: Effort,
     seed: int,
-    everything: bool,
-    executor: str,
-    workers: int | None,
+    known: Callable[[Task], Results | None],
     directory: Path,
-    watch: Watch,
+    executor: str = "serial",
+    workers: int | None = None,
+    watch: Watch = SILENT,
 ) -> dict[Task, Results]:
+    """The results of all tasks of some tables; those that are not known are computed and stored."""
     wanted = dict.fromkeys(task for n in reversed(numbers) for task in tasks_of(n, seed))
-    if not effort.full:
-        wanted = {task: None for task in wanted if task.kind != "angles"}
-    tasks = sorted(wanted, key=_turn)
-    stored = {} if everything else {task: read(directory, effort, task) for task in tasks}
-    computed = {task: results for task, results in stored.items() if results is not None}
+    tasks = sorted((t for t in wanted if effort.full or t.kind != "angles"), key=_turn)
+    computed = {task: results for task in tasks if (results := known(task)) is not None}
     missing = [task for task in tasks if task not in computed]
     if not missing:
         return computed
+    watch.announce(_forecast(missing, effort))
     with (
         watch.stage("paper", len(missing), counted="computations") as shown,
         open_executor(executor, workers) as pool,
@@ -262,6 +295,22 @@ def _computed(
         except TimeIsUpError as error:
             raise TimeIsUpError(f"{error}; the same command goes on from there") from error
     return computed
+
+
+def _forecast(missing: Sequence[Task], effort: Effort) -> str:
+    """The time that computations take, by those that come with the package: most of it goes with the groups.
+
+    One that does not come with it takes as long as the longest of its kind.
+    """
+    known: Mapping[str, Results] = packaged("tasks")["tasks"]
+
+    def full(task: Task) -> float:
+        alike = (results["seconds"] for title, results in known.items() if title.startswith(task.kind))
+        return float(known[task.title]["seconds"] if task.title in known else max(alike))
+
+    seconds = sum(map(full, missing)) * effort.groups / FULL.groups
+    counted = f"{len(missing)} computation{'s' * (len(missing) > 1)}"
+    return f"{counted}, about {duration(seconds)} on one core; finished ones are kept"
 
 
 def _turn(task: Task) -> tuple[bool, bool, int]:
@@ -334,19 +383,14 @@ def _misfits(computed: Mapping[Task, Results]) -> Iterator[Misfit]:
             )
 
 
-def _stored_records(
-    numbers: tuple[int, ...],
-    calculix: Mapping[str, Any],
-    sequences: Mapping[str, Any],
-    diagnosed: Mapping[str, Any],
-) -> dict[str, dict[str, str | float]]:
-    records = {}
-    if {1, 5} & set(numbers):
-        records["CalculiX, 20-node bricks"] = calculix
-        records["diagnoses of the measured lists"] = diagnosed
-    if set(numbers) & {9, 11, 12, 13, 14}:
-        records["posteriors over stacking sequences"] = sequences
-    return {name: {k: r[k] for k in _STAMPED if k in r} for name, r in records.items()}
+def _slow(numbers: Sequence[int]) -> tuple[str, ...]:
+    """Names of slow work behind some tables that can be done here."""
+    names = (name for name, (_, tables) in _SLOW.items() if tables & set(numbers))
+    return tuple(name for name in names if name != "calculix" or shutil.which("ccx") is not None)
+
+
+def _stamped(results: Mapping[str, Any]) -> dict[str, str | float]:
+    return {key: results[key] for key in _STAMPED if key in results}
 
 
 def _notices(computed: Mapping[Task, Results], quick: bool) -> Iterator[Notice]:
@@ -463,8 +507,8 @@ COMMAND: Final = Command(
             "--all",
             "everything",
             action="store_true",
-            help="compute anew what was stored, and what comes with the package: posteriors over stacking "
-            "sequences and frequencies of CalculiX, which take hours",
+            help="compute anew what was stored and what comes with the package; it says at once how long it "
+            "takes: hours for Table 9 and for all tables",
         ),
         option(
             "--store",

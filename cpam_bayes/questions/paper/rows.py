@@ -1,24 +1,18 @@
 """Printed values beside computed ones, the verdict on each, and the audit of the print.
 
-Verdicts: a frequency agrees up to 0.5 % or half a unit of its last digit, an identified constant up to 1 %, a
-mean of ten within two standard errors of the difference of two such means and 5 %; within the standard errors
-alone the two cannot be told apart.
+Verdicts: a frequency agrees up to 0.5 % or half a unit of its last digit, an identified constant up to 1 %.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import Any, Final, Literal, get_args
-
-import numpy as np
 
 from cpam_bayes.formatting import listed, significant
 from cpam_bayes.printed.tables import (
     PAPER,
-    WITHOUT_NOISE,
     PrintedRow,
     PrintedTable,
     PrintedValue,
@@ -32,6 +26,7 @@ __all__ = [
     "FOUR",
     "INPUT",
     "MISPRINTED",
+    "NOT_COMPUTED",
     "NOT_REPRODUCIBLE",
     "TWO",
     "UNTOLD",
@@ -39,9 +34,8 @@ __all__ = [
     "WITHIN",
     "Computed",
     "Cost",
-    "MeansOfTen",
+    "Judged",
     "Misfit",
-    "NoisyAngles",
     "Results",
     "Row",
     "SimulationError",
@@ -50,18 +44,20 @@ __all__ = [
     "constant_rows",
     "disagreements",
     "frequency_rows",
+    "identified_row",
     "input_rows",
+    "layup_row",
     "layup_rows",
-    "means_of_ten",
-    "noise_rows",
-    "noisy_angles",
+    "row_of",
 ]
 
 BUILT_IN, TWO, FOUR = "as built in", "two constants", "four constants"
 """Choices of unknowns: those of the built-in specimen, or two or four constants of an aluminium plate."""
-Verdict = Literal["agrees", "within the posterior", "cannot be told apart", "not reproducible", "input"]
+Verdict = Literal[
+    "agrees", "within the posterior", "cannot be told apart", "not reproducible", "not computed", "input"
+]
 VERDICTS: Final[tuple[Verdict, ...]] = get_args(Verdict)
-AGREES, WITHIN, UNTOLD, NOT_REPRODUCIBLE, INPUT = VERDICTS
+AGREES, WITHIN, UNTOLD, NOT_REPRODUCIBLE, NOT_COMPUTED, INPUT = VERDICTS
 Results = dict[str, Any]
 """Plain data of one finished computation."""
 Computed = Mapping[tuple[str, str, str], Results]
@@ -78,11 +74,6 @@ _CONSTANT_PERCENT: Final = 1.0
 MISPRINTED: Final = 50.0
 # Misfit of printed constants that is worth a name, %; ends of an interval this factor apart are far apart.
 _FAR, _WIDE = 5.0, 1.5
-# Means agree up to so many standard errors of their difference, if they are no further apart than this, %.
-_STANDARD_ERRORS, _MEAN_PERCENT = 2.0, 5.0
-# From this share of inversions on a bound their scatter says nothing of the noise.
-_STUCK: Final = 0.5
-_PRINTED_GROUPS: Final = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +217,7 @@ def input_rows(table: PrintedTable) -> Iterator[Row]:
     for row in table.rows:
         if row.role in ("input", "measured"):
             for quantity, cell in row.values.items():
-                yield _row(table, row, quantity, cell, None, (INPUT, ""))
+                yield row_of(table, row, quantity, cell, None, (INPUT, ""))
 
 
 def frequency_rows(table: PrintedTable, computed: Computed, calculix: Mapping[str, Any]) -> Iterator[Row]:
@@ -243,7 +234,7 @@ def frequency_rows(table: PrintedTable, computed: Computed, calculix: Mapping[st
                 "calculix_hz": None if bricks is None else bricks[i],
             }
             verdict = _of_frequency(cell, solvers)
-            yield _row(table, row, quantity, cell, solvers["ritz_hz"], verdict, details=solvers)
+            yield row_of(table, row, quantity, cell, solvers["ritz_hz"], verdict, details=solvers)
 
 
 def _of_frequency(cell: PrintedValue, solvers: Mapping[str, float | None]) -> Judged:
@@ -276,11 +267,21 @@ def constant_rows(table: PrintedTable, computed: Computed) -> Iterator[Row]:
             ours = results["constants"].get(quantity)
             if ours is None:
                 continue
-            verdict = _of_constant(cell, ours, why)
-            interval = (ours["q025"], ours["q975"])
-            yield _row(
-                table, row, quantity, cell, ours["value"], verdict, interval, {"posterior_mean": ours["mean"]}
-            )
+            yield identified_row(table, row, quantity, cell, ours, why)
+
+
+def identified_row(
+    table: PrintedTable,
+    row: PrintedRow,
+    quantity: str,
+    cell: PrintedValue,
+    ours: Mapping[str, Any],
+    why: str,
+) -> Row:
+    """A printed constant beside the best fit; why : the reason where it is not reproducible."""
+    details = {"posterior_mean": ours["mean"], "on_bound": float(ours["bound"] is not None)}
+    interval = (ours["q025"], ours["q975"])
+    return row_of(table, row, quantity, cell, ours["value"], _of_constant(cell, ours, why), interval, details)
 
 
 def _of_constant(cell: PrintedValue, ours: Mapping[str, Any], why: str) -> Judged:
@@ -314,10 +315,11 @@ def layup_rows(table: PrintedTable, sequences: Mapping[str, Any]) -> Iterator[Ro
             stored = sequences["cases"].get(row.specimen)
             if stored is not None:
                 cell = row.values["angles_deg"]
-                yield _layup_row(table, row, cell, stored)
+                yield layup_row(table, row, cell, stored)
 
 
-def _layup_row(table: PrintedTable, row: PrintedRow, cell: PrintedValue, stored: Mapping[str, Any]) -> Row:
+def layup_row(table: PrintedTable, row: PrintedRow, cell: PrintedValue, stored: Mapping[str, Any]) -> Row:
+    """A printed stacking sequence beside the most probable one of the posterior over all of them."""
     printed = stored["printed"]
     inside = in_credible_set(
         printed["probability"], stored["credible_95_count"], stored["enumerated"], printed["rank"]
@@ -338,7 +340,7 @@ def _layup_row(table: PrintedTable, row: PrintedRow, cell: PrintedValue, stored:
         "enumerated": float(stored["enumerated"]),
     }
     ours = tuple(stored["most_probable"]["angles_deg"])
-    return _row(table, row, "angles_deg", cell, ours, verdict, details=details)
+    return row_of(table, row, "angles_deg", cell, ours, verdict, details=details)
 
 
 def in_credible_set(probability: float, count: int, enumerated: int, rank: int | None) -> bool | None:
@@ -354,201 +356,7 @@ def in_credible_set(probability: float, count: int, enumerated: int, rank: int |
     return False if probability < 0.05 / max(enumerated - count, 1) else None
 
 
-def noise_rows(table: PrintedTable, computed: Computed, sequences: Mapping[str, Any]) -> Iterator[Row]:
-    """Tables 10 to 14: printed means of ten beside the repetition and the posterior at that noise.
-
-    Where angles and constants were sought together, as the paper did, that repetition is the one compared.
-    """
-    (specimen,) = {row.specimen for row in table.rows}
-    results = computed.get(("noise", specimen, BUILT_IN))
-    if results is None:
-        return
-    point = computed.get(("constants", specimen, TWO if specimen == "A2" else BUILT_IN))
-    together = computed.get(("angles", specimen, BUILT_IN))
-    sources = [r.source for r in table.rows[1:]]
-    levels = dict(zip(sources, results["levels"], strict=True))
-    sought = {} if together is None else dict(zip(sources, together["levels"], strict=True))
-    for row in table.rows:
-        for quantity, cell in row.values.items():
-            if quantity == "angles_deg":
-                yield _noisy_layup(table, row, cell, sequences["cases"].get(specimen), sought.get(row.source))
-            elif row.source == WITHOUT_NOISE:
-                if point is not None:
-                    yield _without_noise(table, row, quantity, cell, point["constants"][quantity])
-            else:
-                known = levels[row.source]["constants"][quantity]
-                both = sought[row.source]["constants"][quantity] if sought else {}
-                groups = results["groups"] if together is None else together["groups"]
-                free = (results if together is None else together)["without_noise"][quantity]
-                yield _noisy(table, row, quantity, cell, {**known, **both}, groups, free)
-
-
-def _without_noise(
-    table: PrintedTable, row: PrintedRow, quantity: str, cell: PrintedValue, ours: Mapping[str, Any]
-) -> Row:
-    why = "see the same constant in Table 9(a)" if table.number > 10 else "see the same constant in Table 8"
-    verdict = _of_constant(cell, ours, why)
-    return _row(table, row, quantity, cell, ours["value"], verdict, (ours["q025"], ours["q975"]))
-
-
-def _noisy(
-    table: PrintedTable,
-    row: PrintedRow,
-    quantity: str,
-    cell: PrintedValue,
-    ours: Mapping[str, float],
-    groups: int,
-    free: float,
-) -> Row:
-    """free : ours without noise, by the same search."""
-    mean, printed = ours["repetition_mean"], float(cell.text)
-    stuck = ours["on_bound"] >= _STUCK
-    error = ours["repetition_sd"] * math.sqrt(1.0 / groups + 1.0 / _PRINTED_GROUPS)
-    away = abs(printed - mean) / error if error > 0.0 else math.inf
-    off = 100.0 * abs(printed / mean - 1.0)
-    inside = ours["q025"] <= printed <= ours["q975"]
-    verdict = _of_mean(away, off, inside, ours["on_bound"], groups, free)
-    details = {
-        "repetition_sd": ours["repetition_sd"],
-        "on_bound": ours["on_bound"],
-        "standard_errors": away if math.isfinite(away) and not stuck else None,
-        "printed_percent": float(cell.percent),
-        "our_percent": 100.0 * (mean / free - 1.0),
-        "posterior_mean": ours["posterior_mean"],
-    }
-    return _row(table, row, quantity, cell, mean, verdict, (ours["q025"], ours["q975"]), details)
-
-
-def _of_mean(away: float, off: float, inside: bool, on_bound: float, groups: int, free: float) -> Judged:
-    """Verdict on a printed mean; away : standard errors, off : per cent from ours."""
-    stuck = on_bound >= _STUCK
-    bound = f"{100.0 * on_bound:.0f} % of ours sit on a bound, so that they have no standard error"
-    if not stuck and away <= _STANDARD_ERRORS:
-        if off <= _MEAN_PERCENT:
-            return AGREES, ""
-        return UNTOLD, f"{off:.0f} % apart, which is {away:.1f} standard errors"
-    if inside:
-        return WITHIN, bound if stuck else ""
-    if stuck and off <= _MEAN_PERCENT:
-        return UNTOLD, bound
-    distance = bound if stuck else f"{away:.3g} standard errors of a difference of two means of {groups} away"
-    return NOT_REPRODUCIBLE, f"{distance}, and outside the 95 % interval; without noise ours is {free:.4g}"
-
-
-def _noisy_layup(
-    table: PrintedTable,
-    row: PrintedRow,
-    cell: PrintedValue,
-    stored: Mapping[str, Any] | None,
-    sought: Mapping[str, Any] | None,
-) -> Row:
-    if row.source == WITHOUT_NOISE and stored is not None:
-        return _layup_row(table, row, cell, stored)
-    if sought is None:
-        why = "searches of angles and constants together were left out"
-        return _row(table, row, "angles_deg", cell, None, (NOT_REPRODUCIBLE, why))
-    found = NoisyAngles.of(table.number, row.source, cell.angles_deg, sought)
-    return _row(table, row, "angles_deg", cell, found.means_deg, found.verdict, details=found.details)
-
-
-@dataclass(frozen=True, slots=True)
-class NoisyAngles:
-    """Angles that inversions of perturbed lists ended at, beside a printed mean of ten.
-
-    source : of the printed row, its level
-    printed, means_deg : mean angle of each unknown ply, the outermost first; ours on the mirror image that is
-        nearer the printed one
-    spread_deg : circular standard deviation of each angle, which repeats after 180 degrees; 61 for ten
-        angles without any preference
-    found : inversions that ended at the printed sequence, or at its mirror image
-    distinct : sequences among their ends, mirror images counted once
-    """
-
-    table: int
-    source: str
-    printed: tuple[int, ...]
-    means_deg: tuple[float, ...]
-    spread_deg: tuple[float, ...]
-    found: int
-    distinct: int
-    groups: int
-
-    @classmethod
-    def of(cls, table: int, source: str, printed: Sequence[int], level: Mapping[str, Any]) -> NoisyAngles:
-        """From the angles of the inversions at a level."""
-        goal = np.array(printed, dtype=float)
-        ends = np.array(level["angles_deg"], dtype=float)
-        # a plate seen from behind has all angles with the other sign and the same frequencies
-        ends = np.array([min(end, _wrapped(-end), key=lambda a: _away(a, goal)) for end in ends])
-        away = _wrapped(ends - goal)
-        mean = _wrapped(goal + away.mean(axis=0))
-        length = np.abs(np.exp(2j * np.radians(ends)).mean(axis=0))
-        # of n directions without preference the mean length is about 1 / sqrt(n)
-        spread = 0.5 * np.degrees(np.sqrt(-2.0 * np.log(np.clip(length, 1.0 / len(ends), 1.0))))
-        return cls(
-            table=table,
-            source=source,
-            printed=tuple(int(a) for a in printed),
-            means_deg=tuple(float(m) for m in mean),
-            spread_deg=tuple(float(d) for d in spread),
-            found=int(np.sum(np.all(away == 0.0, axis=1))),
-            distinct=len(np.unique(ends, axis=0)),
-            groups=len(ends),
-        )
-
-    @property
-    def verdict(self) -> Judged:
-        """Agrees where each mean is nearest to the printed angle on the grid, and told apart by its error."""
-        away = np.abs(_wrapped(np.subtract(self.means_deg, self.printed)))
-        error = np.array(self.spread_deg) * math.sqrt(1.0 / self.groups + 1.0 / _PRINTED_GROUPS)
-        said = (
-            f"{self.found} of {self.groups} inversions end there, the others at {self.distinct} sequences; "
-            f"spread by ply {', '.join(f'{d:.0f}' for d in self.spread_deg)} degrees"
-        )
-        if np.all(away <= _GRID_DEG / 2.0):
-            return AGREES, said
-        return (UNTOLD if np.all(away <= _STANDARD_ERRORS * error) else NOT_REPRODUCIBLE), said
-
-    @property
-    def details(self) -> dict[str, float | None]:
-        """For the row."""
-        spread = {f"spread_{i}_deg": d for i, d in enumerate(self.spread_deg, 1)}
-        return {"found": float(self.found), "distinct": float(self.distinct), **spread}
-
-
-# The paper's grid of angles, degrees.
-_GRID_DEG: Final = 5.0
-
-
-def _wrapped(angles_deg: Any) -> Any:
-    """Within -90 (excluded) to 90 degrees: a fibre has no head."""
-    return 90.0 - np.mod(90.0 - angles_deg, 180.0)
-
-
-def _away(angles_deg: Any, goal: Any) -> float:
-    return float(np.sum(np.abs(_wrapped(angles_deg - goal))))
-
-
-def noisy_angles(rows: Iterable[Row]) -> str:
-    """The worth of the means of angles of Tables 11 to 14, in words; "" where none was computed."""
-    of_angles = [row for row in rows if "spread_1_deg" in row.details]
-    if not of_angles:
-        return ""
-    spreads = [[v or 0.0 for k, v in row.details.items() if k.startswith("spread_")] for row in of_angles]
-    outer, inner = (float(np.mean([s[i] for s in spreads])) for i in (0, -1))
-    found = sum(int(row.details["found"] or 0) for row in of_angles)
-    return (
-        "Angles and constants sought together by one fuzzy swarm, as the paper did, on ten perturbed lists "
-        f"a level: {found} of {10 * len(of_angles)} inversions end at the printed angles or their mirror "
-        "image. "
-        f"The angle of the outermost unknown ply scatters by {outer:.0f} degrees, that of the innermost by "
-        f"{inner:.0f}, on average over {len(of_angles)} levels (61 is no preference at all). "
-        "All printed means are multiples of 5 degrees, which a mean of ten angles on that grid is by chance "
-        "only."
-    )
-
-
-def _row(
+def row_of(
     table: PrintedTable,
     row: PrintedRow,
     quantity: str,
@@ -558,6 +366,7 @@ def _row(
     interval: tuple[float | None, float | None] = (None, None),
     details: Mapping[str, float | None] | None = None,
 ) -> Row:
+    """A printed cell beside ours, a number or angles, with its verdict."""
     number = cell.number
     single = ours if isinstance(ours, float) else None
     return Row(
@@ -575,66 +384,6 @@ def _row(
         reason=judged[1],
         details=details or {},
     )
-
-
-@dataclass(frozen=True, slots=True)
-class MeansOfTen:
-    """The information in the printed means of ten inversions of Tables 10 to 14.
-
-    changes, hidden : printed changes, and those below one standard error of such a mean as repeated here
-    constants : series over the levels; printed_grow, ours_grow : of which the change keeps its sign and grows
-    """
-
-    changes: int
-    hidden: int
-    constants: int
-    printed_grow: int
-    ours_grow: int
-
-    @classmethod
-    def of(cls, rows: Iterable[Row]) -> MeansOfTen | None:
-        """From the rows, None where none of these tables was computed."""
-        series: dict[tuple[int, str], list[Row]] = {}
-        for row in rows:
-            if "printed_percent" in row.details:
-                series.setdefault((row.table, row.quantity), []).append(row)
-        noisy = [row for one in series.values() for row in one]
-        if not noisy:
-            return None
-        below = (abs(r.details["printed_percent"] or 0.0) < _standard_error_percent(r) for r in noisy)
-        printed, ours = (
-            sum(_grows([row.details[key] or 0.0 for row in one]) for one in series.values())
-            for key in ("printed_percent", "our_percent")
-        )
-        return cls(len(noisy), sum(below), len(series), printed, ours)
-
-
-def means_of_ten(rows: Iterable[Row]) -> str:
-    """The information in the printed means of ten inversions, in words; "" where none was computed."""
-    found = MeansOfTen.of(rows)
-    if found is None:
-        return ""
-    return (
-        "Noise by eq. (12): a level times the root mean square frequency, one standard deviation for all "
-        "modes, times a standard normal number (the paper takes Box and Muller's), added to the measured "
-        f"list. {found.hidden} of {found.changes} printed changes are smaller than one standard error of a "
-        "mean of ten inversions as repeated here: such a mean cannot show them. The printed change keeps its "
-        "sign "
-        f"and grows from 1 to 5 to 10 % for {found.printed_grow} of {found.constants} constants; ours, with "
-        f"independent noise at each level, for {found.ours_grow}. A mean shows the bias of the inversion; "
-        "the spread of the constants is the posterior interval."
-    )
-
-
-def _standard_error_percent(row: Row) -> float:
-    """Standard error of a mean of ten in percent of our mean."""
-    mean = row.ours if isinstance(row.ours, float) else math.nan
-    return 100.0 * (row.details["repetition_sd"] or 0.0) / math.sqrt(_PRINTED_GROUPS) / abs(mean)
-
-
-def _grows(changes: Sequence[float]) -> bool:
-    same_sign = all(change * changes[0] > 0.0 for change in changes)
-    return same_sign and all(abs(a) < abs(b) for a, b in pairwise(changes))
 
 
 def disagreements(rows: Sequence[Row], misfits: Sequence[Misfit]) -> tuple[str, ...]:
