@@ -15,8 +15,26 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_name] = "1"
 
 
-def pytest_configure() -> None:
+_LINES_OF_A_FAILURE = 20
+
+
+class FailuresAtOnce:
+    """Names what failed when it fails: a run that is cut off has said it."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self._config = config
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.failed:
+            terminal = self._config.pluginmanager.get_plugin("terminalreporter")
+            last = report.longreprtext.splitlines()[-_LINES_OF_A_FAILURE:]
+            terminal.write_line("\n".join(("", f"FAILED {report.nodeid} ({report.when})", *last)))
+
+
+def pytest_configure(config: pytest.Config) -> None:
     """Each process of pytest-xdist has a core of its own: commands under test start no workers beside it."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        config.pluginmanager.register(FailuresAtOnce(config))
     number = os.environ.get("PYTEST_XDIST_WORKER", "").removeprefix("gw")
     if number and hasattr(os, "sched_setaffinity"):
         allowed = sorted(os.sched_getaffinity(0))
@@ -35,6 +53,15 @@ def _run_directory(tmp_path_factory: pytest.TempPathFactory) -> None:
     os.environ["CPAM_BAYES_CACHE"] = str(run / "cache")
     os.environ[shared.DIRECTORY] = str(run / "shared")
     (run / "shared").mkdir(exist_ok=True)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _models_of_the_run(_run_directory: None) -> None:
+    """Each plate model is made once in a run, by whichever process needs it first."""
+    from cpam_bayes.forward_model import build
+    from tests.models_of_the_run import ModelsOfTheRun
+
+    build._made = ModelsOfTheRun(Path(os.environ[shared.DIRECTORY]))
 
 
 @pytest.fixture

@@ -28,7 +28,7 @@ def diagnosed(cases: Sequence[PlateCase], causes: Sequence[str], *, gain: bool =
     """The diagnosis with none, other and these causes alone, which act on frequencies or lists."""
     asked = {"none", "other", *causes}
     some = [(h, at) for h, at in hypotheses_of(cases) if h.cause in asked]
-    return diagnose_cases(cases, hypotheses=some, pairs=False, gain=gain)
+    return diagnose_cases(cases, hypotheses=some, sets=False, gain=gain)
 
 
 def aluminium_case(name: str = "plate 7") -> PlateCase:

@@ -44,6 +44,7 @@ isotropic = true
 E1_GPa = 69
 nu12 = 0.33
 """
+OF_TABLE = f"{BAR}[measurement]\n"
 
 
 def described(

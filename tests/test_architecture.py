@@ -262,7 +262,6 @@ READS = {"startswith", "endswith", "removeprefix", "removesuffix", "partition", 
 # Literals that are asked for and are shown to nobody, or are cut off what another layer has written.
 ASKED_FOR = {
     "at least": "the side of a limit, one of two literals",
-    "held edges": "what an effect is drawn as, one of four literals",
     "mirror image": "the name of a symmetry",
     "cannot be judged": "the verdict on a plate of a batch, one of four literals",
     "too close to call": "another of these",

@@ -1,5 +1,6 @@
 """The command line as a user and a script see it: exit status, standard output, standard error."""
 
+import io
 import json
 import os
 import re
@@ -17,7 +18,7 @@ from cpam_bayes.cli import COMMANDS, main
 from cpam_bayes.command import Command
 from cpam_bayes.parallel import WorkersLostError
 from cpam_bayes.questions import identify, plates
-from tests.plate_file import refused
+from tests.plate_file import PLATE, refused
 
 PROJECT = Path(__file__).parent.parent
 # a single swarm and a few steps of it say all that is asked here
@@ -165,13 +166,17 @@ def test_what_ruins_an_answer_is_its_first_line_and_a_warning(run, plate_file, c
     assert status == 0
     assert first in first_sentences(out)
     assert "warning: " in err
-    document = json.loads(run("identify", path, "--json", *SHORT)[1])
+    eq_7 = ("--residuals", "absolute", *SHORT)
+    document = json.loads(run("identify", path, "--json", *eq_7)[1])
     assert (document["constants"]["E1_GPa"]["sd"] is None) == (change == ONE)
 
 
 def test_what_the_swarm_leaves_aside_is_said(run, plate_file):
     normal = "nu12 = { mean = 0.33, sd = 0.02, bounds = [0.15, 0.4] }"
-    assert "only the bounds of nu12" in run("identify", plate_file(("nu12 = [0.15, 0.4]", normal)), *SHORT)[2]
+    path = plate_file(("nu12 = [0.15, 0.4]", normal))
+    said = "only the bounds of nu12"
+    assert said in run("identify", path, "--residuals", "absolute", *SHORT)[2]
+    assert said not in run("identify", path, *SHORT)[2]
 
 
 LISTED = "[114, 167, 218, 289, 300, 497]"
@@ -203,6 +208,58 @@ def test_a_slip_of_units_is_the_first_line_of_forward(run, plate_file, old, new,
 def test_a_list_that_no_constants_come_near_is_refused_with_the_likely_cure(run, plate_file, command, slip):
     (old, new, cure), (name, *options) = slip, command.split()
     refused(run(name, plate_file((old, new)), "--quiet", *options), "frequencies_hz", "come near", cure)
+
+
+# A table whose columns are ambiguous
+
+
+TWO = "mode;left;right\n1;114;113\n2;167;166\n3;218;217\n4;289;287\n"
+OF_TWO = PLATE + '\n[measurement]\ntable = "modes.csv"\nresolution_hz = 1.0\n'
+
+
+class Typed(io.StringIO):
+    """Lines as they are typed at a terminal."""
+
+    def isatty(self):
+        return True
+
+
+@pytest.fixture
+def of_two(plate_file, tmp_path):
+    """A plate file whose table has two columns that may be the frequencies."""
+    (tmp_path / "modes.csv").write_text(TWO, encoding="utf-8")
+    return plate_file(text=OF_TWO)
+
+
+def at_terminal(monkeypatch, lines, stdout=True):
+    monkeypatch.setattr(sys, "stdin", Typed(lines))
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: stdout, raising=False)
+
+
+def test_a_terminal_is_asked_once_which_column_has_the_frequencies(run, of_two, monkeypatch):
+    at_terminal(monkeypatch, "3\n2\nnot asked for\n")
+    status, out, err = run("identify", of_two, *SHORT)
+    assert status == 0, err
+    assert "  1  left\n  2  right\n" in err
+    assert "received '3', accepted: 1 to 2" in err
+    assert f'To keep this, {of_two} says\n  [measurement.columns]\n  hz = "right"\n' in err
+    assert sys.stdin.read() == "not asked for\n"
+    kept = Path(of_two).read_text(encoding="utf-8") + '[measurement.columns]\nhz = "right"\n'
+    Path(of_two).write_text(kept, encoding="utf-8")
+    at_terminal(monkeypatch, "")
+    assert run("identify", of_two, *SHORT)[:2] == (0, out)
+
+
+@pytest.mark.parametrize(
+    ("lines", "stdout", "options"),
+    [("\n", True, ()), ("", True, ()), ("2\n", False, ()), ("2\n", True, ("--json",))],
+    ids=("an empty line", "no line", "into a file", "a script"),
+)
+def test_without_an_answer_an_ambiguous_table_is_refused(run, of_two, monkeypatch, lines, stdout, options):
+    at_terminal(monkeypatch, lines, stdout)
+    status, out, err = run("identify", of_two, *SHORT, *options)
+    assert (status, out) == (2, "")
+    assert 'name it in [measurement.columns]: hz = "HEAD"' in err.splitlines()[-1]
 
 
 # Bad input: exit status 2, one message, nothing on standard output

@@ -25,7 +25,7 @@ MARKS = dict.fromkeys(
         "many_plates.md",
         "mode_shapes.md",
         "other_plates.md",
-        "own_prior.md",
+        "priors.md",
         "repeats.md",
         "sensors.md",
         "hybrids.md",

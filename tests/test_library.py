@@ -405,15 +405,16 @@ def test_a_figure_is_asked_for_by_its_name(point: PointResult, modes: ForwardRes
         point.plot("causes")
     with pytest.raises(ValueError, match="accepted: nothing to be drawn"):
         cb.plates().plot()
-    with pytest.raises(ValueError, match="to_arviz: identify samples no posterior"):
-        point.to_arviz()
+    with pytest.raises(ValueError, match="to_arviz: forward has no draws"):
+        modes.to_arviz()
 
 
 def test_saving_writes_the_files_of_the_command(point: PointResult, tmp_path: Path) -> None:
     out = tmp_path / "new" / "results"
     point.save(out)
     names = ("predicted_against_measured", "residuals", "modes", "plate")
-    files = {"identify.json", "report.html"} | {f"figures/{n}.{e}" for n in names for e in ("png", "svg")}
+    files = {"identify.json", "posterior.nc", "report.html"}
+    files |= {f"figures/{n}.{e}" for n in names for e in ("png", "svg")}
     assert {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file()} == files
     assert json.loads((out / "identify.json").read_text("utf-8")) == point.to_dict()
     with pytest.raises(ValueError, match="a file, accepted: a directory"):

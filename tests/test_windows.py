@@ -1,7 +1,9 @@
-"""Nothing that Windows lacks is needed: the commands run where its names are taken away."""
+"""Nothing that Windows lacks is needed: the commands run, and end, where its names are taken away."""
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +15,10 @@ from tests.plate_file import MEASURED, PLATE
 # Worker processes import the script too, so that they lack the same.
 SCRIPT = """
 import os, signal, sys
+from multiprocessing import resource_tracker
+
+if __name__ == "__main__":
+    resource_tracker.ensure_running()  # Windows has none; only a mask keeps Ctrl-C from one that starts
 
 for module in ("fcntl", "resource", "grp", "pwd", "termios", "pty", "tty"):
     sys.modules[module] = None
@@ -36,24 +42,69 @@ if __name__ == "__main__":
 """
 
 
+BATCH = ("batch", "panel.toml", "other.toml", "--out", "answers")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """The script and files that it is run on."""
+    (tmp_path / "run.py").write_text(SCRIPT, encoding="utf-8")
+    for name in ("panel", "other"):
+        (tmp_path / f"{name}.toml").write_text(PLATE + MEASURED, encoding="utf-8")
+    (tmp_path / "coin.toml").write_text("frequencies_hz = [113, 165, 217, 286, 299, 493]\n", encoding="utf-8")
+    left = tmp_path / ".cpam-bayes-00000000-1-left"  # what a killed process left is looked at
+    left.write_bytes(b"")
+    return tmp_path
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
         ("--version",),
         ("identify", "panel.toml", "--json", "--out", "answer"),
-        pytest.param(("batch", "panel.toml", "other.toml", "--out", "answers"), marks=pytest.mark.slow),
+        pytest.param(BATCH, marks=pytest.mark.slow),
+        pytest.param((*BATCH, "--workers", "2"), marks=pytest.mark.slow),
+        pytest.param(("prove", "panel.toml", "coin.toml", "--out", "answer"), marks=pytest.mark.slow),
     ],
-    ids=("version", "identify", "batch"),
+    ids=("version", "identify", "batch", "workers", "prove"),
 )
-def test_commands_run_without_the_names_that_windows_lacks(
-    tmp_path: Path, arguments: tuple[str, ...]
-) -> None:
-    (tmp_path / "run.py").write_text(SCRIPT, encoding="utf-8")
-    for name in ("panel", "other"):
-        (tmp_path / f"{name}.toml").write_text(PLATE + MEASURED, encoding="utf-8")
-    left = tmp_path / ".cpam-bayes-00000000-1-left"  # what a killed process left is looked at
-    left.write_bytes(b"")
+def test_commands_run_without_the_names_that_windows_lacks(folder: Path, arguments: tuple[str, ...]) -> None:
     command = [sys.executable, "run.py", *arguments]
-    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    ended = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert (ended.returncode, "Traceback" in ended.stderr) == (0, False), ended.stderr
     assert ended.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (
+            ("identify", "panel.toml", "--swarms", "1", "--iterations", "100000", "--particles", "10000"),
+            "iter",
+        ),
+        pytest.param(
+            ("batch", "panel.toml", "C1", "C3", "--workers", "2"), "batch: 3", marks=pytest.mark.slow
+        ),
+    ],
+    ids=("identify", "workers"),
+)
+def test_ctrl_c_ends_a_run_without_the_names_that_windows_lacks(
+    folder: Path, arguments: tuple[str, ...], line: str
+) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "run.py", *arguments, "--out", "answer"],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        # a shell that puts the tests in the background has them ignore interrupts
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    assert process.stderr is not None
+    assert any(line in said for said in process.stderr)
+    os.killpg(process.pid, signal.SIGINT)  # a console sends Ctrl-C to workers too
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err.splitlines()[-1]) == (130, "", "cpam-bayes: interrupted")
+    assert "Traceback" not in err
+    assert not (folder / "answer").exists()

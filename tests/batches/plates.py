@@ -36,12 +36,20 @@ def with_noise(described: Mapping[str, Any], rng: np.random.Generator, std: floa
     return {**described, "measurement": measured}
 
 
+def exact(described: Mapping[str, Any]) -> dict[str, Any]:
+    """The plate with sizes and density that are exact."""
+    return {**described, "plate": {**described["plate"], "sd": dict.fromkeys(SIZES, 0.0)}}
+
+
 def written(path: Path, described: Mapping[str, Any]) -> Path:
     """The plate as a file."""
     lines = [f'name = "{described["name"]}"']
-    for section in ("plate", "material", "unknowns", "measurement"):
+    plate, sd = dict(described["plate"]), described["plate"].get("sd", {})
+    plate.pop("sd", None)
+    tables = {**described, "plate": plate, "plate.sd": sd}
+    for section in ("plate", "plate.sd", "material", "unknowns", "measurement"):
         lines.append(f"[{section}]")
-        for key, value in described[section].items():
+        for key, value in tables[section].items():
             shown = {True: "true", False: "false"}[value] if isinstance(value, bool) else repr(value)
             lines.append(f"{key} = {shown}")
     path.write_text("\n".join(lines).replace("'", '"') + "\n", encoding="utf-8")

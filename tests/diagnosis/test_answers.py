@@ -68,7 +68,7 @@ from tests.toy_models import ToyModel
 
 def with_and_without(f: Array, relative: float | None = NOISE) -> weighing.Weighed:
     own = with_causes(f, BENT, relative=relative)
-    return weighing.weigh([own], [(NOTHING, (0,)), (hypothesis(BENT, 0.1), (0,))], pairs=False)
+    return weighing.weigh([own], [(NOTHING, (0,)), (hypothesis(BENT, 0.1), (0,))], sets=False)
 
 
 @pytest.mark.parametrize("factor", FACTORS)
@@ -110,7 +110,7 @@ def test_a_claim_stands_if_it_is_the_same_with_all_scales() -> None:
     def claim(w: weighing.Weighed) -> Claim:
         probability = {**w.by_cause(), OTHER: 0.0}
         factors = {c: w.log_bayes_factor((c,)) for c in w.by_cause()} | {OTHER: -np.inf}
-        return claim_of(probability, factors, {})
+        return claim_of(probability, factors)
 
     for size, stands in ((0.0, True), (0.03, True), (0.006, False)):
         found = with_and_without(measured(size * BUMP))
@@ -231,7 +231,7 @@ def weighed(
     """Of a list at the prior means."""
     own = with_causes(F0 * (1.0 + scatter * SCATTER), *effects, relative=relative)
     some = [NOTHING, *([ANYTHING] if other else []), *(hypothesis(e, 0.1) for e in effects)]
-    return weighing.weigh([own], [(h, (0,)) for h in some], pairs=False)
+    return weighing.weigh([own], [(h, (0,)) for h in some], sets=False)
 
 
 def oracle_of(found: weighing.Weighed, n: int = 64) -> tuple[LinearOracle, tuple[ShiftLine, ...]]:

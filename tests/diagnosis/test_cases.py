@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import OrderedDict, defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -17,15 +17,15 @@ from cpam_bayes.diagnosis.hypotheses import (
     OTHER,
     P_NONE,
     P_OTHER,
-    P_PAIR,
-    PAIR,
+    P_SETS,
+    SET,
     Hypothesis,
     single_hypotheses,
 )
 from cpam_bayes.diagnosis.models import diagnosis_parameters
 from cpam_bayes.effects import ListChange, PlateFacts, applicable
 from cpam_bayes.effects.plies import MATERIAL
-from cpam_bayes.forward_model.build import forget_models
+from cpam_bayes.forward_model import build
 from cpam_bayes.plate import builtin, read_plate
 from cpam_bayes.plate.reader import builtin_names
 from tests.diagnosis.toy_plates import F0, a_list, case, pairs_of
@@ -52,9 +52,9 @@ PLATES = [name for name in builtin_names() if not builtin(name).plate.layup.n_un
 
 @pytest.mark.parametrize("name", PLATES)
 @pytest.mark.parametrize("complete", [True, False])
-def test_priors_and_that_of_pairs_sum_to_one(name: str, complete: bool) -> None:
+def test_priors_and_those_of_sets_sum_to_one(name: str, complete: bool) -> None:
     found = singles(name, complete=complete)
-    assert sum(h.prior for h in found) + P_PAIR == pytest.approx(1.0, abs=1e-12)
+    assert sum(h.prior for h in found) + sum(P_SETS.values()) == pytest.approx(1.0, abs=1e-12)
     assert found[0] == Hypothesis(NONE, NONE, prior=P_NONE)
     assert of_families(found)[OTHER] == P_OTHER
 
@@ -64,7 +64,7 @@ def test_families_are_equally_probable_and_so_are_the_causes_of_one(name: str) -
     found = singles(name)
     families = of_families(found)
     rest = [p for family, p in families.items() if family not in (NONE, OTHER)]
-    np.testing.assert_allclose(rest, (1.0 - P_NONE - P_OTHER - P_PAIR) / len(rest), rtol=1e-12)
+    np.testing.assert_allclose(rest, (1.0 - P_NONE - P_OTHER - sum(P_SETS.values())) / len(rest), rtol=1e-12)
     by_cause: dict[tuple[str, str], float] = defaultdict(float)
     for h in found:
         by_cause[h.family, h.cause] += h.prior
@@ -87,8 +87,8 @@ def test_variants_of_a_cause_share_its_prior_evenly_and_a_slip_of_the_pen_has_a_
     masses = [h for h in found if h.cause == "sensor_mass"]
     assert len(masses) == 1
     # a gross error has a tenth of the prior of its size
-    (length,) = [h for h in found if h.cause == "length"]
-    assert length.parameters[0].prior.fraction == 0.1
+    (angle,) = [h for h in found if h.cause == "misorientation"]
+    assert angle.parameters[0].prior.fraction == 0.1
     assert {h.cause for h in found if h.is_gross} == {"outlier"}
     misread = [h for h in found if h.cause == "outlier"]
     whole = sum(h.prior for h in misread)
@@ -141,7 +141,7 @@ def test_tests_of_one_specimen_share_its_flaws_and_not_their_lists() -> None:
     found = hypotheses_of(toys(("one", "same"), ("two", "same")))
     assert {plates for h, plates in found if h.cause == "length"} == {(0, 1)}
     assert {plates for h, plates in found if h.cause == "outlier"} == {(0,), (1,)}
-    assert sum(h.prior for h, _ in found) == pytest.approx(1.0 - P_PAIR)
+    assert sum(h.prior for h, _ in found) == pytest.approx(1.0 - sum(P_SETS.values()))
 
 
 def test_a_flaw_is_about_the_tests_in_which_it_can_act() -> None:
@@ -154,7 +154,7 @@ def test_a_flaw_is_about_the_tests_in_which_it_can_act() -> None:
     assert {plates for h, plates in found if h.cause == "support"} == {(0,)}
     assert {plates for h, plates in found if h.cause == "clamp_rotation"} == {(1,)}
     assert {plates for h, plates in found if h.cause == "length"} == {(0, 1)}
-    assert sum(h.prior for h, _ in found) == pytest.approx(1.0 - P_PAIR)
+    assert sum(h.prior for h, _ in found) == pytest.approx(1.0 - sum(P_SETS.values()))
     # places differ from test to test; a cause is no more probable for that
     forms = {h.variant for h, plates in found if h.cause == "damage"}
     assert len(forms) == 2
@@ -176,7 +176,7 @@ def test_hypotheses_of_plates_begin_with_none_and_share_all_the_probability(
 ) -> None:
     found = hypotheses_of(toys(*plates))
     assert found[0][0].cause == NONE
-    assert sum(h.prior for h, _ in found) == pytest.approx(1.0 - P_PAIR)
+    assert sum(h.prior for h, _ in found) == pytest.approx(1.0 - sum(P_SETS.values()))
     if len(plates) == 1:
         assert all(of == (0,) for _, of in found)
 
@@ -249,14 +249,16 @@ def some_of(c1: PlateCase) -> list[tuple[Hypothesis, tuple[int, ...]]]:
     return [entry for entry in hypotheses_of([c1]) if entry[0].cause in CAUSES]
 
 
-def test_models_are_the_same_from_workers_and_on_demand(c1: PlateCase) -> None:
+def test_models_are_the_same_from_workers_and_on_demand(
+    c1: PlateCase, monkeypatch: pytest.MonkeyPatch
+) -> None:
     seen: list[tuple[int, int]] = []
-    forget_models()
+    monkeypatch.setattr(build, "_made", OrderedDict())
     with ThreadPoolExecutor(2) as pool:
         build_models([c1], some_of(c1), pool, lambda done, total: seen.append((done, total)))
     assert seen == [(0, 3), (1, 3), (2, 3), (3, 3)]
     assert len(c1.extended) == 3
-    forget_models()
+    build.forget_models()
     on_demand = replace(c1, extended={})
     for hypothesis, _ in some_of(c1):
         (effect,) = hypothesis.effects
@@ -296,6 +298,6 @@ def test_it_is_as_probable_as_another_slip_of_the_pen_and_pairs_with_nothing() -
     alone = next(h for h in found if h.cause == "viscoelastic")  # the one cause of its family
     assert material.prior == pytest.approx(0.1 * alone.prior)
     assert all(MATERIAL.name not in p.causes for p in pairs_of((*found[2:6], material), found))
-    assert all(h.family != PAIR for h in found)
+    assert all(h.family != SET for h in found)
     without = single_hypotheses(facts_of("C2"), 6, complete=True)
     assert MATERIAL.name not in {h.cause for h in without}

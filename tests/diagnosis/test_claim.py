@@ -11,8 +11,6 @@ import pytest
 
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Claim, claim_of
 
-PAIRS = {"a + b": ("a", "b"), "a + c": ("a", "c"), "c + d": ("c", "d")}
-
 
 def claimed(
     probability: Mapping[str, float],
@@ -25,8 +23,7 @@ def claimed(
     evidence |= {name: 10.0 for name, p in probability.items() if name not in (NONE, OTHER) and p >= 0.1}
     evidence |= dict(log_evidence or {})
     bad = (unexplained or "").split(",")
-    pairs = {name: both for name, both in PAIRS.items() if name in whole}
-    return claim_of(whole, evidence, pairs, lambda name: name not in bad and bad != ["*"])
+    return claim_of(whole, evidence, lambda name: name not in bad and bad != ["*"])
 
 
 @pytest.mark.parametrize(
@@ -63,13 +60,19 @@ def claimed(
         ({"a + b": 0.89, "a": 0.11}, {}, "named", "a", 1.0),
         # one that acts whatever is beside it
         ({"a + b": 0.5, "a + c": 0.43, "c + d": 0.05, "a": 0.02}, {}, "named", "a", 0.95),
-        # pairs have such low priors that their evidence is no rival
-        ({"a": 0.95, "c + d": 0.05}, {"a": 10.0, "c + d": 12.0}, "named", "a", 0.95),
+        # and so do the causes of a set that is not so far behind
+        ({"a": 0.95, "c + d": 0.05}, {"a": 10.0, "c + d": 7.0}, "named", "a", 0.95),
+        ({"a": 0.95, "c + d": 0.05}, {"a": 10.0, "c + d": 7.01}, "class", "acd", 1.0),
+        ({"a": 0.95, "a + b": 0.05}, {"a": 10.0, "a + b": 12.0}, "named", "a", 1.0),
+        # three at once, each with 0.9
+        ({"a + b + c": 0.9, "a + b": 0.1}, {}, "pair", "abc", 0.9),
+        ({"a + b + c": 0.89, "a + b": 0.11}, {}, "pair", "ab", 1.0),
+        ({"a + b": 0.46, "a + c": 0.44, "b + d": 0.1}, {"b + d": 2.0}, "named", "a", 0.9),
         # other, and what no rule decides: the three most probable
         ({OTHER: 0.9, "a": 0.1}, {OTHER: 9.0}, "other", "", 0.9),
         ({OTHER: 0.89, "a": 0.11}, {OTHER: 9.0}, "undecided", "a", 0.11),
         ({OTHER: 0.3, "a": 0.1, "b": 0.25, "c": 0.2, "d": 0.15}, {}, "undecided", "bcd", 0.6),
-        ({NONE: 0.1, "a + b": 0.4, "b": 0.3, "c": 0.2}, {"none": 9.0}, "undecided", "abc", 0.9),
+        ({NONE: 0.1, "a + b": 0.4, "b": 0.3, "c": 0.2}, {"none": 9.0}, "undecided", "bac", 0.9),
         ({NONE: 0.4, OTHER: 0.6}, {}, "undecided", "", 0.0),
     ],
 )
@@ -103,5 +106,5 @@ def test_nothing_is_claimed_that_does_not_explain_the_lists(
 
 
 def test_nothing_is_claimed_where_time_was_up() -> None:
-    found = claim_of({NONE: 0.0, OTHER: 0.0, "a": 1.0}, {NONE: 0.0, "a": 20.0}, {}, is_cut_short=True)
+    found = claim_of({NONE: 0.0, OTHER: 0.0, "a": 1.0}, {NONE: 0.0, "a": 20.0}, is_cut_short=True)
     assert (found.kind, found.causes) == ("undecided", ("a",))

@@ -55,11 +55,11 @@ def diagnosed(
     own: PlateCase,
     *singles: Hypothesis,
     gain: bool = True,
-    pairs: bool = True,
+    sets: bool = True,
 ) -> Diagnosis:
     every = [(h, (0,)) for h in (NOTHING, ANYTHING, *singles)]
     monkeypatch.setattr(diagnosing, "hypotheses_of", lambda cases: every)
-    return diagnose_cases([own], gain=gain, pairs=pairs)
+    return diagnose_cases([own], gain=gain, sets=sets)
 
 
 def test_a_clean_plate_has_nothing_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -170,7 +170,7 @@ def test_two_causes_are_claimed_as_a_pair(monkeypatch: pytest.MonkeyPatch) -> No
 def test_what_no_cause_explains_is_other(monkeypatch: pytest.MonkeyPatch) -> None:
     wild = 0.05 * np.array([1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
     own = plate(wild, BENT)
-    found = diagnosed(monkeypatch, own, hypothesis(BENT, 0.1), gain=False, pairs=False)
+    found = diagnosed(monkeypatch, own, hypothesis(BENT, 0.1), gain=False, sets=False)
     assert found.claim.kind == "other"
     assert found.claim.causes == ()
     assert found.extended is not None
@@ -286,7 +286,7 @@ def test_held_out_scores_select_the_cause_again_without_each_frequency(
 ) -> None:
     """Of a faint cause: the mixture of plain and extended model, weighed by the other frequencies."""
     own = plate(0.006 * BUMP, BENT)
-    found = diagnosed(monkeypatch, own, hypothesis(BENT, 0.1), pairs=False, gain=False)
+    found = diagnosed(monkeypatch, own, hypothesis(BENT, 0.1), sets=False, gain=False)
     bent = found.weighed.best_of("bent")
     assert 0.1 < bent.probability < 0.99
     scored = gain.gain_of(

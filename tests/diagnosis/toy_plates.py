@@ -17,8 +17,8 @@ from cpam_bayes.diagnosis.hypotheses import (
     OTHER,
     Hypothesis,
     go_together,
-    pair_scale,
-    paired,
+    set_scales,
+    together,
 )
 from cpam_bayes.diagnosis.models import PlateModels
 from cpam_bayes.effects import Effect, ListChange, PlateFacts
@@ -90,6 +90,18 @@ def even(direction: Array) -> Callable[[Array], tuple[Array, Array]]:
     return lambda t: (t[:, None] ** 2 * direction, 2.0 * t[:, None] * direction)
 
 
+def stepped(case: PlateCase, name: str, shift: Array) -> Hypothesis:
+    """A cause without a size, one relative shift, which this plate may have."""
+    effect = replace(cause(name, whole_normal(1.0)), parameters=())
+    slope = F0[:, None] * A
+    model = ToyModel(
+        CONSTANTS,
+        lambda x: (F0 * (1.0 + shift) + (x - 1.0) @ slope.T, np.broadcast_to(slope, (len(x), *slope.shape))),
+    )
+    case.extended[name, ""] = model  # type: ignore[assignment]
+    return hypothesis(effect, 0.1)
+
+
 def cause(name: str, prior: Prior, *, is_even: bool = False, excludes: tuple[str, ...] = ()) -> Effect:
     """An effect of one parameter."""
     return Effect(
@@ -129,7 +141,7 @@ def with_slip(i: int, size: float) -> Array:
 
 
 NOTHING = Hypothesis(NONE, NONE, prior=0.5)
-ANYTHING = Hypothesis(OTHER, OTHER, parameters=(DISCREPANCY,), prior=0.06)
+ANYTHING = Hypothesis(OTHER, OTHER, parameters=(DISCREPANCY,), prior=0.06, correlation_length=0.0)
 BENT, TWIN, DENTED, STIFF = (cause(name, whole_normal(0.02)) for name in ("bent", "twin", "dented", "stiff"))
 WARP = cause("warp", ScaledStudentT(0.1, 4.0, -0.8, 0.8), is_even=True)
 HEAVY = cause("heavy", ScaledStudentT(0.02, 4.0, 0.0, 0.16))
@@ -177,6 +189,7 @@ def case(
         np.zeros(n_modes),
         n_modes,
         np.zeros(n_modes),
+        {},
         plate_model(n_modes),  # type: ignore[arg-type]
         name,
     )
@@ -218,5 +231,5 @@ def differences(function: Callable[[Array], Array], x: Array, step: float = 1e-6
 
 def pairs_of(causes: Sequence[Hypothesis], singles: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
     """Two at a time of some causes that can act together, with their priors among ``singles``."""
-    scale = pair_scale(singles)
-    return tuple(paired(a, b, scale) for a, b in combinations(causes, 2) if go_together(a, b))
+    scales = set_scales(singles)
+    return tuple(together(both, scales) for both in combinations(causes, 2) if go_together(*both))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -15,15 +16,26 @@ from cpam_bayes.mechanics.fem import discretise_sparse, fem_space
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import Problem
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
+from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.reader import builtin
 
 MODES = {"C1": 6, "A2": 6, "D3": 10}
+# A plate that none of the built-in ones is: C1 with its four edges simply supported.
+SUPPORTED = "C1 supported"
 BY_NAME = {effect.name: effect for effect in CATALOGUE}
 
 
 @lru_cache
+def specimen_of(name: str) -> Specimen:
+    if name != SUPPORTED:
+        return builtin(name)
+    free = builtin("C1")
+    return replace(free, plate=replace(free.plate, edges="SSSS"))
+
+
+@lru_cache
 def facts(name: str) -> PlateFacts:
-    specimen = builtin(name)
+    specimen = specimen_of(name)
     return PlateFacts.of(specimen.plate, specimen.material.isotropic)
 
 
@@ -40,13 +52,13 @@ def placed(effect: Effect) -> Effect:
 
 
 def of_plate(name: str, effect: Effect) -> Effect:
-    """The first variant of an effect with the priors of a plate."""
-    return variants(effect, facts(name))[0] if effect.is_anywhere else effect
+    """The first form of an effect that a plate may have, with the priors for it."""
+    return variants(effect, facts(name))[0]
 
 
 @lru_cache
 def bare(name: str) -> Problem:
-    return plate_problem(builtin(name))
+    return plate_problem(specimen_of(name))
 
 
 def with_effect(name: str, effect: Effect) -> Problem:
@@ -74,7 +86,7 @@ def ritz(
     """Frequencies (len(sds), n_modes) of a plate with an effect; without one, of the bare plate, (1, n)."""
     problem = with_effect(name, effect) if effect else bare(name)
     values = values_at(effect, sds) if effect else {}
-    found = _frequencies(ritz_operator(problem, values, degree), values, MODES[name])
+    found = _frequencies(ritz_operator(problem, values, degree), values, MODES.get(name, 6))
     return observed(effect, found, values) if effect else found
 
 
@@ -84,7 +96,7 @@ def elements(
     """The same on finite elements."""
     problem, values = with_effect(name, effect), values_at(effect, sds)
     space = fem_space(problem.edges, problem.nominal, *(counts or (None, None)))
-    found = _frequencies(discretise_sparse(problem, space, values), values, MODES[name])
+    found = _frequencies(discretise_sparse(problem, space, values), values, MODES.get(name, 6))
     return observed(effect, found, values)
 
 

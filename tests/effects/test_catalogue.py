@@ -31,6 +31,7 @@ from cpam_bayes.plate.reader import builtin, builtin_names
 from tests.effects.cases import (
     BY_NAME,
     MODES,
+    SUPPORTED,
     bare,
     elements,
     facts,
@@ -45,11 +46,11 @@ from tests.effects.cases import (
 # Names of the contract: answers, stores and studies hold them.
 KEPT_NAMES = {
     *("clamp_rotation", "clamp_translation", "soft_clamp", "clamp_slip", "clamp_length", "sensor_mass"),
-    *("support", "air", "thickness", "density", "length"),
+    *("edge_mass", "soft_support", "support", "air", "thickness", "density", "length"),
     *("width", "frequency_scale", "taper_x", "taper_y", "skew"),
     *("misorientation", "outer_ply_angle", "inner_ply_angle", "warp", "membrane_stress"),
     *("transverse_shear", "shear_ratio", "damage", "resin_skin", "viscoelastic"),
-    *("mode_identity", "outlier", "material"),
+    *("mode_identity", "outlier", "material", "layup", "swapped_sides"),
 }
 PAGE = (Path(__file__).parents[2] / "docs" / "effects.md").read_text(encoding="utf-8")
 # Rows of the page's table of the largest shifts at one standard deviation, %: cause, C1, A2, D3.
@@ -63,12 +64,6 @@ DOCUMENTED = {
 }
 ON_THE_PLATE = [e for e in CATALOGUE if e.change or e.observe]
 OF_THE_PROBLEM = [e for e in CATALOGUE if e.change is not None]
-PAIRS = [
-    (plate, placed(of_plate(plate, e)))
-    for plate in MODES
-    for e in OF_THE_PROBLEM
-    if e.applies_to(facts(plate))
-]
 MEMBRANE = ("u", "v")
 # Many forms, small elements or a dense matrix.
 LONG = ("air", "damage", "clamp_slip", "warp", "taper_x", "taper_y")
@@ -77,15 +72,23 @@ LONG = ("air", "damage", "clamp_slip", "warp", "taper_x", "taper_y")
 def cases(effects: list[Effect]) -> list[object]:
     return [
         pytest.param(plate, effect, id=f"{plate}-{effect.name}")
-        for plate in MODES
         for effect in effects
-        if effect.applies_to(facts(plate))
+        for plate in plates_with(effect)
     ]
+
+
+def plates_with(effect: Effect) -> list[str]:
+    """Those of the page's plates that can have the effect, or the supported one if none can."""
+    return [plate for plate in MODES if effect.applies_to(facts(plate))] or [SUPPORTED]
 
 
 def first_plate(effect: Effect) -> str:
     """A plate that can have the effect: free where it may be, else the thick cantilever."""
-    return "C1" if effect.applies_to(facts("C1")) else "D3"
+    first, *_, last = plates_with(effect) * 2
+    return first if first == "C1" else last
+
+
+PAIRS = [(plate, placed(of_plate(plate, e))) for e in OF_THE_PROBLEM for plate in plates_with(e)]
 
 
 one_plate = [
@@ -136,6 +139,8 @@ def test_priors_are_student_t_with_four_degrees_of_freedom_but_for_what_is_known
         tolerance = p.prior.parts[0][1]
         assert isinstance(tolerance, ScaledStudentT)
         assert tolerance.degrees_of_freedom == 4.0
+        if effect.name in ("transverse_shear", "shear_ratio"):  # within a factor of two
+            continue
         # the cut takes off less than 4 % of the tails, which have to hold what is far off
         whole = ScaledStudentT(tolerance.scale, 4.0, min(p.prior.lower, 0.0) * 1e6, 1e6 * p.prior.upper)
         assert tolerance.log_density(0.0) - whole.log_density(0.0) < 0.04, p.name
@@ -143,7 +148,7 @@ def test_priors_are_student_t_with_four_degrees_of_freedom_but_for_what_is_known
 
 @every_effect
 def test_an_effect_says_what_it_acts_on_and_how_it_enters(effect: Effect) -> None:
-    acts = (effect.change, effect.observe, effect.pairings, effect.drops_references or None)
+    acts = (effect.change, effect.observe, effect.pairings, effect.drops_references or None, effect.on_plate)
     assert sum(act is not None for act in acts) == 1
     assert effect.parameters or effect.change is effect.observe is None
     assert effect.name.isidentifier()
@@ -163,16 +168,18 @@ def test_a_gross_error_is_as_large_as_the_plate_allows(effect: Effect) -> None:
 
 
 def test_what_the_catalogue_says_of_causes_is_listed() -> None:
-    # a known density, a grip that fades, what rests on a soft support, skins: tolerances to their ends
+    # what nobody mistypes or mislays has no gross part, and what is a gross error alone is no mixture
     without = {e.name for e in CATALOGUE for p in e.sizes if not isinstance(p.prior, Mixture)}
-    assert without - {"sensor_mass", "damage"} == {"air", "clamp_slip", "support", "resin_skin", "outlier"}
+    physics = {"transverse_shear", "shear_ratio", "membrane_stress", "viscoelastic", "resin_skin", "air"}
+    misstated = {"thickness", "density", "length", "width", "frequency_scale", "outlier"}
+    assert without == physics | misstated | {*("sensor_mass", "edge_mass", "damage", "clamp_slip", "support")}
     # a sister plate has what is of the material and of the laboratory
     assert {e.name for e in ON_THE_PLATE if e.is_common_to_sisters} == {
         *("air", "frequency_scale", "shear_ratio", "transverse_shear", "viscoelastic")
     }
     assert {e.name for e in CATALOGUE if e.belongs_to == "test"} == {
         *("clamp_rotation", "clamp_translation", "soft_clamp", "clamp_slip", "clamp_length"),
-        *("mode_identity", "outlier"),
+        *("mode_identity", "outlier", "soft_support"),
     }
     # compliances of one clamp exclude each other and no others do
     ways = ("clamp_rotation", "clamp_translation", "soft_clamp", "clamp_slip")
@@ -197,9 +204,9 @@ def test_the_expected_size_may_depend_on_the_plate() -> None:
     assert found.scaled(1.0)["sag"] == pytest.approx(0.25 * h)
     (skin,) = variants(BY_NAME["resin_skin"], facts("C1"))
     assert skin.parameters[0].prior.upper == pytest.approx(h / 5.0)
-    (support,) = variants(BY_NAME["support"], replace(facts("C1"), first_frequency=120.0))
-    assert support.scaled(1.0)["support_frequency"] == pytest.approx(12.0)
-    assert support.parameters[0].prior.upper == pytest.approx(60.0)
+    for support in variants(BY_NAME["support"], replace(facts("C1"), first_frequency=120.0)):
+        assert support.scaled(1.0)["support_frequency"] == pytest.approx(12.0)
+        assert support.parameters[0].prior.upper == pytest.approx(60.0)
     smooth, sharp = variants(replace(BY_NAME["damage"], size_factor=lambda facts: 0.5), facts("C1"))
     assert smooth.scaled(1.0)["damage"] == 0.1
     assert (smooth.local, sharp.local) == ("bell", "rectangle")
@@ -208,11 +215,12 @@ def test_the_expected_size_may_depend_on_the_plate() -> None:
 
 def test_effects_that_a_plate_cannot_have_or_have_no_place_yet_are_refused() -> None:
     assert {e.name for e in CATALOGUE} - {e.name for e in applicable(facts("C1"))} == {
-        *("clamp_rotation", "clamp_translation", "soft_clamp", "clamp_slip", "clamp_length", "material")
+        *("clamp_rotation", "clamp_translation", "soft_clamp", "clamp_slip", "clamp_length", "material"),
+        *("soft_support", "swapped_sides"),
     }
     assert {e.name for e in CATALOGUE} - {e.name for e in applicable(facts("A2"))} == {
         *("support", "misorientation", "outer_ply_angle", "inner_ply_angle", "shear_ratio", "resin_skin"),
-        "material",
+        *("layup", "material", "soft_support"),
     }
     for name, said in (
         ("clamp_slip", "clamp_slip: not possible on a plate with edges FFFF"),
@@ -255,7 +263,7 @@ def test_places_that_symmetry_makes_equal_are_in_the_prior_once(
 
 @pytest.mark.parametrize(("plate", "effect"), cases(ON_THE_PLATE))
 def test_null_gives_back_the_bare_plate(plate: str, effect: Effect) -> None:
-    effect = placed(effect)
+    effect = placed(of_plate(plate, effect))
     found = ritz(plate, effect, (0.0, 1.0), degree=9)[0]
     expected = ritz(plate, None, degree=9)[0]
     sprung = effect.change is not None and any(e.sprung for e in conditions(with_effect(plate, effect).edges))

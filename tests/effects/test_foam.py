@@ -96,10 +96,7 @@ def test_these_are_the_claims_of_the_contract() -> None:
 
 def test_the_page_gets_its_rows() -> None:
     text = catalogue_tables(CATALOGUE_WITH_FOAM)
-    assert (
-        "| foam | foam strip under an edge | bedding | test | foam_stiffness >= 0 | 0.1 kN/m2/mm "
-        "| 0.5 kN/m2/mm | rise |" in text
-    )
+    assert "| foam | foam strip under an edge | test | 0.1 kN/m2/mm | 0.5 kN/m2/mm |" in text
     assert text.startswith(catalogue_tables()[:1000])
 
 

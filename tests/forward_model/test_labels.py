@@ -47,13 +47,13 @@ def known(name: str, *names: str) -> Specimen:
 
 
 def listed(frequencies: np.ndarray, labels: tuple[str, ...], complete: bool = True) -> Measurement:
-    return Measurement(np.asarray(frequencies), 0.0, 0.003, None, labels, complete)
+    return Measurement(np.asarray(frequencies), 0.0, 0.003, None, labels, complete, scale_sd=0.0)
 
 
 @pytest.fixture(scope="module")
 def plate() -> Specimen:
     """B1, whose twisting and first bending mode cross as G12 grows."""
-    return known("B1", "E2", "G12")
+    return known("B1", "E2", "G12").with_exact_sizes()
 
 
 @pytest.fixture(scope="module")

@@ -108,7 +108,7 @@ def test_bricks_agree() -> None:
     specimen = cb.read_plate(HYBRID)
     ritz = cb.forward(specimen, n_modes=6).frequencies
     bricks = solve_modes(specimen, reference_constants(specimen), 6, in_plane=200).frequencies
-    # free-edge layers of plies turned against each other are not in the theory (docs/theory_error.md)
+    # free-edge layers of plies turned against each other are not in the theory (docs/theory.md)
     assert_allclose(ritz, bricks, rtol=2e-3)
 
 

@@ -18,6 +18,7 @@ from cpam_bayes.forward_model.build import (
     without_matrices,
 )
 from cpam_bayes.forward_model.model import (
+    NO_PARAMETERS,
     PlateModel,
     angle_parameters,
     converged_model,
@@ -91,6 +92,21 @@ def compared(name: str) -> Comparison:
 # Errors
 
 
+@pytest.mark.parametrize("edges", ["CFFF", "CCCC", "SSSS", "FFFF"])
+def test_sides_that_are_known_well_leave_a_thin_plate_its_frequencies(edges: str) -> None:
+    a1 = read_specimen("A1")
+    plate = replace(a1.plate, length=0.2, width=0.1, thickness=0.001, edges=edges)
+    known = replace(a1, plate=replace(plate, sd={"length": 2e-4, "width": 1e-4}))
+    parameters = size_parameters(known)
+    x = np.array([[0.2, 0.1], [0.2, 0.1003], [0.2008, 0.1]])
+    found = reduced_model(known, parameters, 6).predict(x).frequencies
+    for (length, width), f in zip(x, found, strict=True):
+        there = replace(a1, plate=replace(plate, length=length, width=width))
+        expected = converged_model(there, NO_PARAMETERS, 6).predict(np.empty((1, 0))).frequencies[0]
+        # two spaces, each converged to 1e-4
+        np.testing.assert_allclose(f, expected, rtol=3e-4)
+
+
 @cases
 def test_error_is_below_1e_4_in_99_of_100_draws(name: str) -> None:
     assert np.quantile(compared(name).error, 0.99) < 1e-4
@@ -123,7 +139,8 @@ def test_error_on_the_corners_of_the_prior_box_is_small(name: str) -> None:
 @cases
 def test_basis_errors_are_those_of_full_solves(name: str) -> None:
     x = compared(name).x[:16]
-    np.testing.assert_allclose(basis_error(reduced(name), x), np.abs(compared(name).error[:16]), atol=1e-9)
+    # of errors of 1e-5, full solves that differ by rounding, 2e-9 on some processors
+    np.testing.assert_allclose(basis_error(reduced(name), x), np.abs(compared(name).error[:16]), atol=1e-8)
 
 
 def test_checks_find_a_mode_that_the_first_training_lacks() -> None:

@@ -150,6 +150,7 @@ def enumerated(fit: AngleSearchProblem, every: np.ndarray) -> np.ndarray:
     return best_constants(fit, every, search_starts(fit, 8)).values
 
 
+@pytest.mark.slow
 def test_enumeration_finds_the_plates_own_sequence_and_its_images(
     specimen: Specimen, every: np.ndarray, enumerated: np.ndarray
 ) -> None:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import cpam_bayes as cb
-from cpam_bayes.diagnosis.cases import plate_case
 from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.known_errors import ScaleError
 from cpam_bayes.forward_model.model import NO_PARAMETERS, converged_model, reference_vector, size_parameters
@@ -25,7 +23,6 @@ from cpam_bayes.plate import Specimen, parse_specimen, read_specimen
 from cpam_bayes.priors import TruncatedNormal
 from cpam_bayes.questions.identify.emcee import sample
 from cpam_bayes.questions.identify.pso import PointResult
-from tests.diagnosed import diagnosed
 from tests.plate_file import MEASURED, PLATE
 
 NOISE = 0.002
@@ -48,7 +45,8 @@ def known(name: str, sd: Mapping[str, float], weighed: bool = False) -> Specimen
     if weighed:
         plate = replace(plate, mass=plate.density * plate.area * plate.thickness)
     absolute = {size: share * float(getattr(plate, size)) for size, share in sd.items()}
-    return replace(specimen, plate=replace(plate, sd=absolute), measurement=data)
+    exact = replace(specimen, plate=plate, measurement=data).with_exact_sizes()
+    return replace(exact, plate=replace(exact.plate, sd={**exact.plate.sd, **absolute}))
 
 
 def linear_sd(specimen: Specimen) -> dict[str, float]:
@@ -125,7 +123,8 @@ def test_the_start_has_the_sizes_after_the_constants_and_every_start_is_possible
 @pytest.mark.slow
 def test_sampled_moduli_of_c1_widen_as_to_first_order() -> None:
     specimen = known("C1", {"thickness": 0.01})
-    found = sample(specimen, seed=0, settings=EnsembleSettings(effective=1500.0))
+    bounds_alone = replace(specimen, material=replace(specimen.material, known=False))
+    found = sample(bounds_alone, seed=0, settings=EnsembleSettings(effective=1500.0))
     exact, expected = linear_sd(known("C1", {})), linear_sd(specimen)
     for name, constant in found.constants.items():
         # 1500 effective draws give an sd to 1.8 %, four standard errors
@@ -137,7 +136,8 @@ def test_sampled_moduli_of_c1_widen_as_to_first_order() -> None:
 def from_file(tmp_path_factory: pytest.TempPathFactory, text: str) -> PointResult:
     path = tmp_path_factory.mktemp("plate") / "plate.toml"
     path.write_text(text, encoding="utf-8")
-    return cb.identify(str(path), seed=1)
+    # to first order, about the optimum of eq. (7), with what the file states alone
+    return cb.identify(str(path), seed=1, residuals="absolute")
 
 
 @pytest.fixture(scope="module")
@@ -252,7 +252,7 @@ def identified(plate: str, thickness: float, **stated: float) -> PointResult:
     sd = f"\n[plate.sd]\nthickness_mm = {thickness}\n{EXACT}"
     given = "".join(f"{key} = {value}\n" for key, value in stated.items())
     text = f"{plate}{sd}\n[measurement]\nfrequencies_hz = {f}\n{given}"
-    return cb.identify(parse_specimen(text, "x"), seed=1, residuals="whitened")
+    return cb.identify(parse_specimen(text, "x"), seed=1)
 
 
 def test_one_modulus_is_known_as_well_as_noise_and_thickness_let_it_be() -> None:
@@ -273,7 +273,7 @@ def test_one_modulus_is_known_as_well_as_noise_and_thickness_let_it_be() -> None
 def test_what_a_file_leaves_out_is_known_as_usual() -> None:
     f = cb.forward(parse_specimen(ONE, "x"), n_modes=8).frequencies.tolist()
     text = f"{ONE}\n[measurement]\nfrequencies_hz = {f}\nrelative_std = {NOISE}\n"
-    found = cb.identify(parse_specimen(text, "x"), seed=1, residuals="whitened").constants["E1"]
+    found = cb.identify(parse_specimen(text, "x"), seed=1).constants["E1"]
     # E goes with rho / h^2 and with sides to the fourth: 1 % of density and of thickness, 0.1 % of sides
     assert found.sd / found.value == pytest.approx(np.sqrt(0.02**2 + 0.01**2), rel=0.05)
 
@@ -283,17 +283,3 @@ def test_a_constant_of_which_the_list_says_little_keeps_what_was_known_of_it() -
     found = identified(known, 0.0, relative_std=0.02).constants["nu12"]
     assert found.value == pytest.approx(0.33, abs=0.002)
     assert found.sd == pytest.approx(0.003, rel=0.1)
-
-
-@pytest.mark.slow
-def test_on_the_panel_of_the_readme_it_holds_the_truth_and_answers_as_the_diagnosis_does() -> None:
-    panel = str(Path(__file__).parents[2] / "examples" / "panel.toml")
-    truth = {"E1": 136.5e9, "E2": 8.8e9, "G12": 4.62e9, "nu12": 0.32}
-    found = cb.identify(panel, seed=0, residuals="whitened").constants
-    diagnosis = diagnosed([plate_case(cb.read_plate(panel))], ["frequency_scale"], gain=False)
-    for name, true in truth.items():
-        one, (mean, sd, _, _) = found[name], diagnosis.averaged[name]
-        assert one.interval is not None
-        assert one.interval[0] < true < one.interval[1]
-        assert one.value == pytest.approx(mean, abs=0.25 * sd)
-        assert one.sd == pytest.approx(sd, rel=0.2)

@@ -13,6 +13,7 @@ import pytest
 
 import cpam_bayes as cb
 from cpam_bayes.identification.slips import Slip, corrected_file, explaining_slips
+from tests.batches.plates import N_MODES, plate
 
 NOISE = 0.001
 PLATE: dict[str, Any] = {
@@ -108,8 +109,18 @@ def test_sides_exchanged_are_named_and_written_anew(tmp_path: Path) -> None:
         (lambda: stated(np.append(listed(11)[:10], 250.0)), ("false", 4)),
         (lambda: stated(listed(11) * np.where(np.arange(11) == 10, 10.0, 1.0)), ("decimal", 11)),
         (lambda: stated(listed(11) * np.where(np.arange(11) == 2, 1.12, 1.0)), ("misread", 3)),
+        # misread by so much that it stands two places further on
+        (lambda: stated(listed(11) * np.where(np.arange(11) == 2, 1.75, 1.0)), ("misread", 5)),
+        # a point put wrong within the list
+        (lambda: stated(listed(11) * np.where(np.arange(11) == 9, 0.1, 1.0)), ("decimal", 1)),
+        pytest.param(
+            lambda: stated(listed(edges="CFCF"), edges="SFSF"), ("supports", 0), marks=pytest.mark.slow
+        ),
     ],
-    ids=("edges", "layup", "missed", "false", "decimal", "misread"),
+    ids=(
+        *("edges", "layup", "missed", "false", "decimal", "misread"),
+        *("misread and sorted", "decimal within", "supports"),
+    ),
 )
 def test_a_slip_is_named(file: Any, expected: tuple[str, int]) -> None:
     assert found(file()) == [expected]
@@ -126,6 +137,32 @@ def test_a_slip_is_named(file: Any, expected: tuple[str, int]) -> None:
 )
 def test_a_mass_left_on_the_plate_is_no_slip_of_its_file(sensor: dict[str, float]) -> None:
     assert found(stated(listed(sensor=[sensor]))) == []
+
+
+@pytest.mark.parametrize(
+    ("true", "said", "kind"),
+    [
+        pytest.param("CFFF", "FFFF", "clamped", marks=pytest.mark.slow),
+        ("FCFF", "FFFF", "clamped"),
+        ("FFFF", "FCFF", "free"),
+        pytest.param("FFFF", "CFCF", "free", marks=pytest.mark.slow),
+        pytest.param("FFFF", "SSSS", "free", marks=pytest.mark.slow),
+    ],
+)
+def test_a_plate_that_was_clamped_or_free_against_its_file_has_its_edges_named(
+    true: str, said: str, kind: str
+) -> None:
+    slips = explaining_slips(cb.read_plate(stated(listed(edges=true), edges=said)), 0)
+    assert [(slip.kind, slip.edits) for slip in slips] == [(kind, {("plate", "edges"): true})]
+
+
+@pytest.mark.slow
+def test_a_sensor_tells_the_clamped_edge_from_the_one_opposite() -> None:
+    held = plate("held") | {"sensor": [{"mass_g": 20.0, "x_mm": 30.0, "y_mm": 20.0}]}
+    clamped = {**held, "plate": {**held["plate"], "edges": "FFCF"}}
+    listed = cb.forward(clamped, N_MODES).frequencies.tolist()
+    file = {**held, "measurement": {"frequencies_hz": listed, "relative_std": NOISE}}
+    assert [slip.corrected.plate.edges for slip in explaining_slips(cb.read_plate(file), 0)] == ["FFCF"]
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from shutil import copy, copytree
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted
 from cpam_bayes.inference.student_mixture import Mixture
 from cpam_bayes.parameters import TruncatedNormal, Uniform
-from tests.linear_model import LinearModel, exact_gaussian, measurement
+from tests.linear_model import MEAN_HZ, SLOPE_HZ, LinearModel, exact_gaussian, measurement
 from tests.toy_models import ToyModel, integral, linear, listed, parameters, two_peaks
 
 SETTINGS = EnsembleSettings(walkers=16, round_steps=100, effective=2000.0, most_steps=6000)
@@ -236,6 +237,27 @@ def test_walkers_start_on_both_optima_of_a_swarm_with_duplicates_and_infeasible_
     assert len(np.unique(found, axis=0)) == 200
     with pytest.raises(ValueError, match="chains cannot start: no particle"):
         start_positions(own, swarm, np.full(len(swarm), np.inf), 8, np.random.default_rng(0))
+
+
+class CountedDraws(np.random.Generator):
+    """Counts how often walkers are drawn."""
+
+    draws = 0
+
+    def standard_normal(self, *args: Any, **kwargs: Any) -> Any:
+        self.draws += 1
+        return super().standard_normal(*args, **kwargs)
+
+
+def test_walkers_about_an_optimum_in_a_corner_of_the_bounds_are_drawn_once_each() -> None:
+    """Of ten bounds a Gaussian lies inside once in a thousand draws, of a correlated one hardly ever."""
+    far = replace(measurement(0.01), frequencies=MEAN_HZ + SLOPE_HZ @ np.array([4.0, -4.0]))
+    own = plate_posterior(LinearModel(), far, np.zeros(4))
+    rng = CountedDraws(np.random.PCG64(0))
+    found = start_positions(own, np.array([[2.0, -2.0]]), np.zeros(1), 40, rng)
+    assert rng.draws == 40
+    assert np.all(np.isfinite(own.log_prob(found)))
+    assert np.linalg.matrix_rank(found - found.mean(axis=0)) == 2
 
 
 def test_noise_that_is_inferred_is_started_from_the_residuals() -> None:

@@ -71,6 +71,14 @@ def test_a_fit_finds_the_parts_that_draws_come_from() -> None:
     np.testing.assert_allclose(scales, PAIR.factor @ np.swapaxes(PAIR.factor, 1, 2), atol=0.15)
 
 
+def test_a_part_whose_axes_differ_by_many_orders_of_magnitude_is_halved() -> None:
+    factor = np.array([[1e11, 0.0], [1e10, 1e-3]])  # its smallest eigenvalue is lost in rounding
+    points = np.array([[1e11, 0.0], [-1e11, 0.1]])
+    halved = split(Mixture(np.ones(1), np.zeros((1, 2)), factor[None], 8.0), points, np.full(2, 0.5), 2)
+    assert np.all(np.isfinite(halved.centre))
+    assert np.ptp(halved.centre[:, 0]) > 1e11
+
+
 def test_weights_count_like_repeated_points() -> None:
     x = draw(PAIR, 300, np.random.default_rng(3))
     times = np.arange(300) % 3 + 1

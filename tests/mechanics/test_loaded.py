@@ -156,7 +156,8 @@ def test_samples_alone_are_solved_as_all_matrices_are() -> None:
     eye = np.eye(N_SETS)
     found = solve(discretise_at(problem, space, x), eye, eye, N_MODES).frequencies
     expected = model_of("FFFF", "several").predict(sets_of(problem)).frequencies
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    # rounding of two routines of LAPACK, 1e-9 on some processors
+    np.testing.assert_allclose(found, expected, rtol=1e-8)
 
 
 def test_a_mass_in_the_middle_and_many_masses_join_no_parts() -> None:

@@ -7,6 +7,8 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import dask
+import distributed
 import numpy as np
 import pytest
 
@@ -15,12 +17,35 @@ from cpam_bayes.parallel import executors, open_executor, read_spec
 from cpam_bayes.parallel.executors import copied, read_shared, write_shared
 
 
-@pytest.mark.parametrize("spec", ["processes", "serial", "dask://10.0.0.7:8786", "dask://[::1]:8786"])
+@pytest.mark.parametrize(
+    "spec",
+    [
+        "processes",
+        "serial",
+        "dask://10.0.0.7:8786",
+        "dask://[::1]:8786",
+        "tls://10.0.0.7:8786",
+        "tls://[::1]:8786",
+    ],
+)
 def test_names_of_executors_are_accepted(spec: str) -> None:
     assert read_spec(spec) == spec
 
 
-SPECS = ("", "ray", "Serial", "dask", "dask://", "dask://host", "dask://:1", "dask://h:0", "dask://h:65536")
+SPECS = (
+    "",
+    "ray",
+    "Serial",
+    "dask",
+    "dask://",
+    "dask://host",
+    "dask://:1",
+    "dask://h:0",
+    "dask://h:65536",
+    "tls://host",
+    "tls://h:0",
+    "tcp://h:1",
+)
 NOBODY = "dask://127.0.0.1:1"
 
 
@@ -46,6 +71,46 @@ def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> Non
         open_executor("dask://127.0.0.1:1"),
     ):
         pass
+
+
+TLS = "distributed.comm.tls"
+
+
+@pytest.mark.parametrize(
+    ("spec", "settings", "said"),
+    [
+        ("tls://127.0.0.1:1", {}, "Dask has no certificates; set ca-file, client.cert and client.key"),
+        (
+            "tls://127.0.0.1:1",
+            {f"{TLS}.ca-file": "none.pem", f"{TLS}.client.cert": "none.pem"},
+            r"a certificate or key that Dask is set to use cannot be read \(.*No such file",
+        ),
+        (
+            NOBODY,
+            {"distributed.comm.require-encryption": True},
+            "require encryption; write tls:// for dask://",
+        ),
+    ],
+)
+def test_encryption_is_as_dask_is_set_or_the_cure_is_named(
+    spec: str, settings: dict[str, object], said: str
+) -> None:
+    with dask.config.set(settings), pytest.raises(ValueError, match=said), open_executor(spec, patience=0.2):
+        pass
+
+
+def test_an_address_with_tls_reaches_dask_with_tls(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+
+    def client(address: str, **_: object) -> None:
+        asked.append(address)
+        raise OSError
+
+    monkeypatch.setattr(distributed, "Client", client)
+    monkeypatch.setattr(distributed.Security, "get_connection_args", lambda *_: {"ssl_context": 1})
+    with pytest.raises(ValueError, match="no Dask scheduler answers"), open_executor("tls://[::1]:8786/"):
+        pass
+    assert asked == ["tls://[::1]:8786"]
 
 
 def test_the_number_of_workers_is_what_the_executor_says_and_serial_work_has_none() -> None:

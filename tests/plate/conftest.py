@@ -1,6 +1,16 @@
-"""A plate file with every key."""
+"""A plate file with every key, and one whose measurement is a table."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
 
 import pytest
+
+import cpam_bayes as cb
+from cpam_bayes.errors import PlateFileError
+from cpam_bayes.plate import Measurement, Specimen
+from tests.plate_file import OF_TABLE
 
 FULL = """\
 name = "plate 7"
@@ -66,3 +76,41 @@ complete = false
 @pytest.fixture
 def full_text():
     return FULL
+
+
+@pytest.fixture
+def read(tmp_path: Path):
+    """Read a plate file whose table has some content."""
+
+    def reading(content: str | bytes, more: str = "") -> Specimen:
+        encoded = content.encode() if isinstance(content, str) else content
+        (tmp_path / "modes.csv").write_bytes(encoded)
+        path = tmp_path / "bar.toml"
+        path.write_text(f'{OF_TABLE}table = "modes.csv"\n{more}', encoding="utf-8")
+        return cb.read_plate(path)
+
+    return reading
+
+
+@pytest.fixture
+def measured(read):
+    def measurement(content: str | bytes, more: str = "") -> Measurement:
+        found = read(content, more).measurement
+        assert found is not None
+        return found
+
+    return measurement
+
+
+@pytest.fixture
+def refused(read):
+    """The problems of a table, each without the name and line of the plate file."""
+
+    def problems(content: str | bytes, more: str = "") -> list[str]:
+        with pytest.raises(PlateFileError) as caught:
+            read(content, more)
+        place = re.compile(rf".*bar\.toml:{1 + OF_TABLE.count(chr(10))}: measurement\.table: ")
+        assert all(place.match(problem) for problem in caught.value.problems), caught.value.problems
+        return [place.sub("", problem) for problem in caught.value.problems]
+
+    return problems

@@ -20,6 +20,7 @@ import cpam_bayes as cb
 from cpam_bayes.plate.schema import PlateFile
 from tests.faulty_hits import RATE, Faults, recorded_hits
 from tests.hybrids import HYBRID
+from tests.posteriors import write_posterior
 from tests.universal import grid, mode_55, nodes_15
 
 PAGE = (Path(__file__).parents[2] / "docs" / "plate_file.md").read_text(encoding="utf-8")
@@ -159,6 +160,8 @@ def with_example(heading: str, key: str, value: Any) -> dict[str, Any]:
         return _hybrid_with(heading, key, value)
     if key in ("missed_probability", "false_peaks"):
         file["measurement"]["complete"] = False
+    if key == "posterior":
+        file["unknowns"] = {"E1_GPa": [80.0, 200.0]}
     if heading == PRIOR:
         table = file["unknowns"]["nu12"]
     elif heading == "[[sensor]]":
@@ -177,6 +180,7 @@ def test_the_example_of_a_key_is_accepted(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "plate.msh").touch()
+    write_posterior(tmp_path / "posterior.nc", {"E1_GPa": np.linspace(120.0, 140.0, 200)})
     points = grid(310.0, 228.0)
     twist = np.stack(
         (0.0 * points[:, 0], 0.0 * points[:, 0], (points[:, 0] - 155.0) * (points[:, 1] - 114.0))

@@ -378,18 +378,6 @@ def test_text_that_is_not_utf_8_is_refused_with_its_line(tmp_path):
     assert "0xe9" in problem
 
 
-def test_an_empty_file_says_what_is_missing(tmp_path):
-    path = tmp_path / "plate.toml"
-    path.write_bytes(b"")
-    with pytest.raises(PlateFileError) as caught:
-        read_specimen(str(path))
-    assert [problem.split(": ")[1] for problem in caught.value.problems] == [
-        "name",
-        "plate",
-        "material",
-    ]
-
-
 @pytest.mark.parametrize("name", ["plate\0.toml", "x" * 5000, "\x1b[31m.toml"])
 def test_impossible_paths_are_refused_printably(name):
     problem = refused(name)

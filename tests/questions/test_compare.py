@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 import cpam_bayes as cb
-from tests.batches.plates import plate, with_noise
+from tests.batches.plates import exact, plate, with_noise
 from tests.plate_file import refused
 
 
 def test_a_stiffer_plate_is_larger_by_its_ratio() -> None:
     rng = np.random.default_rng(3)
-    found = cb.compare(with_noise(plate("a", 68.0), rng), with_noise(plate("b", 71.4), rng))
+    a, b = (exact(with_noise(plate(name, e1), rng)) for name, e1 in (("a", 68.0), ("b", 71.4)))
+    found = cb.compare(a, b)
     e1, nu12 = found.differences["E1"], found.differences["nu12"]
     assert abs(e1.percent - 5.0) < 3.0 * e1.sd_percent < 10.0
     assert e1.probability_larger > 0.975
@@ -50,9 +51,22 @@ def test_the_command_prints_the_contracts_keys_and_refuses_a_plate_that_cannot_b
     refused(run("compare", "A1", "no such plate"), "no such plate: neither a file nor a built-in specimen")
 
 
+@pytest.mark.slow
 def test_plates_that_the_model_does_not_describe_are_not_compared() -> None:
     odd = with_noise(plate("odd"), np.random.default_rng(4), std=0.02)
     good = plate("good")
     found = cb.compare(good, odd)
     assert found.report().summary.headline.startswith("Cannot be judged")
     assert not any(d.differs for d in found.differences.values())
+
+
+@pytest.mark.slow
+def test_a_plate_with_a_slip_of_its_file_is_named_with_it() -> None:
+    described = plate("swapped")
+    sizes = described["plate"]
+    length, width = sizes["length_mm"], sizes["width_mm"]
+    swapped = {**described, "plate": {**sizes, "length_mm": width, "width_mm": length, "edges": "CFFF"}}
+    f = cb.forward({**described, "plate": {**sizes, "edges": "CFFF"}}, n_modes=8).frequencies.tolist()
+    measured = {**swapped, "measurement": {**described["measurement"], "frequencies_hz": f}}
+    headline = cb.compare(plate("good"), measured).report().summary.headline
+    assert headline.endswith("the frequencies of swapped (length and width exchanged?).")

@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import cpam_bayes as cb
 from cpam_bayes.answer import Verdict
+from cpam_bayes.effects import scale_of
+from cpam_bayes.effects.edges import CLAMP_ROTATION
 from cpam_bayes.identification.point import linearised_covariance
 from cpam_bayes.identification.specimen_design import (
     Test,
@@ -20,6 +23,7 @@ from cpam_bayes.identification.specimen_design import (
 )
 from tests.plate_file import described
 
+EXACT = dict.fromkeys(("length_mm", "width_mm", "thickness_mm", "density_kg_m3"), 0.0)
 CARBON = described(
     (200.0, 200.0, 1.0),
     1590.0,
@@ -30,10 +34,13 @@ CARBON = described(
 SUPPORTED = described(
     (300.0, 200.0, 0.8),
     2700.0,
-    {"isotropic": True, "E1_GPa": 69.0, "nu12": 0.33},
+    {"isotropic": True, "E1_GPa": 69.0, "nu12": 0.33, "known": False},
     edges="SSSS",
     unknowns={"E1_GPa": [60.0, 80.0], "nu12": [0.25, 0.4]},
 )
+for of_plate in (CARBON, SUPPORTED):
+    of_plate["plate"]["sd"] = EXACT
+NOT_EXACT = {key: value for key, value in CARBON["plate"].items() if key != "sd"}
 
 
 def test_a_supported_plate_gives_the_information_of_its_closed_form() -> None:
@@ -55,16 +62,17 @@ def test_a_supported_plate_gives_the_information_of_its_closed_form() -> None:
 
 
 def test_information_about_some_constants_has_the_others_integrated_over() -> None:
-    response = response_of(cb.read_plate(CARBON), 8)
+    response = response_of(cb.read_plate({**CARBON, "plate": NOT_EXACT}), 8)
     prior = np.array([p.prior.sd for p in cb.read_plate(CARBON).unknowns.parameters])
     test = Test(0.002, 0.0)
     every = expected_information(response, 8, test, prior, np.ones(4, bool))
     alone = [expected_information(response, 8, test, prior, np.arange(4) == k) for k in range(4)]
     np.testing.assert_allclose([a.information for a in alone], every.each, rtol=1e-12)
     np.testing.assert_allclose(every.sd, prior * np.exp(-every.each), rtol=1e-12)
-    f, s = response.frequencies, response.slopes
-    noise = f**2 * (0.002**2 + response.error**2)
-    log_det = np.linalg.slogdet(s.T @ (s / noise[:, None]) + np.eye(4))[1]
+    f, s, common = response.frequencies, response.slopes[:, :4], response.slopes[:, 4:]
+    assert common.shape[1] > 1
+    covariance = np.diag(f**2 * (0.002**2 + response.error**2)) + common @ common.T
+    log_det = np.linalg.slogdet(s.T @ np.linalg.solve(covariance, s) + np.eye(4))[1]
     assert every.information == pytest.approx(0.5 * log_det, rel=1e-9)
 
 
@@ -100,13 +108,13 @@ def test_the_standard_deviations_are_those_of_the_swarm_for_a_list_that_fits() -
     measurement = cb.read_plate({**CARBON, "measurement": listed}).measurement
     assert measurement is not None
     swarm = np.sqrt(
-        np.diag(linearised_covariance(response.slopes / prior, prior, measurement, 0.003, "relative"))
+        np.diag(linearised_covariance(response.slopes[:, :4] / prior, prior, measurement, 0.003, "relative"))
     )
     np.testing.assert_allclose(found, swarm, rtol=2e-3)  # the solver's error is in one of them
 
 
 def test_a_thickness_that_is_not_known_well_takes_its_share() -> None:
-    uncertain = {**CARBON, "plate": {**CARBON["plate"], "sd": {"thickness_mm": 0.02}}}
+    uncertain = {**CARBON, "plate": {**CARBON["plate"], "sd": {**EXACT, "thickness_mm": 0.02}}}
     only = {"layups": ["[0_8]"], "ratios": [1.0], "edges": ["FFFF"], "modes": [8], "relative_std": 0.001}
     (exact,) = cb.design(CARBON, **only).candidates
     (blurred,) = cb.design(uncertain, **only).candidates
@@ -116,11 +124,40 @@ def test_a_thickness_that_is_not_known_well_takes_its_share() -> None:
     assert blurred.information < exact.information
 
 
+def test_a_clamp_is_taken_to_give_as_much_as_a_beam_on_a_spring() -> None:
+    """1 + cos b cosh b = c b (sin b cosh b - cos b sinh b), E I / (c a) at the root; here D / (c a)."""
+    plate = {
+        **SUPPORTED,
+        "plate": {**SUPPORTED["plate"], "length_mm": 400.0, "width_mm": 12.0, "edges": "CFFF"},
+    }
+    response = response_of(cb.read_plate(plate), 1)
+    c = scale_of(CLAMP_ROTATION.parameters[0]) * (1.0 - 0.33**2)
+
+    def root(c: float) -> float:
+        return brentq(
+            lambda b: (
+                1.0 + np.cos(b) * np.cosh(b) - c * b * (np.sin(b) * np.cosh(b) - np.cos(b) * np.sinh(b))
+            ),
+            1.5,
+            2.0,
+        )
+
+    expected = 2.0 * np.log(root(c) / root(0.0))
+    shifts = response.slopes[0, 2:] / response.frequencies[0]
+    assert np.abs(shifts - expected).min() < 0.03 * abs(expected)
+
+
+def test_a_free_plate_says_more_than_one_in_a_clamp_that_gives() -> None:
+    only = {"layups": ["[0_8]"], "ratios": [1.0], "modes": [10], "relative_std": 0.002}
+    result = cb.design(CARBON, edges=["FFFF", "CFFF"], **only)
+    assert next(c.geometry.edges for c in result.candidates if c.geometry.ratio == 1.0) == "FFFF"
+
+
 def test_specimens_have_one_area_and_their_mass_follows_the_volume() -> None:
     specimen = cb.read_plate(
         {
             **CARBON,
-            "plate": {k: v for k, v in CARBON["plate"].items() if k != "density_kg_m3"} | {"mass_g": 60.0},
+            "plate": {k: v for k, v in NOT_EXACT.items() if k != "density_kg_m3"} | {"mass_g": 60.0},
             "sensor": [{"mass_g": 1.0, "x_mm": 50.0, "y_mm": 150.0}],
         }
     )

@@ -20,13 +20,17 @@ SIMULATED = described((300.0, 280.0, 3.0), 2700.0, ALUMINIUM, specimen="simulate
 UNKNOWN = {"unknowns": {"E1_GPa": [30.0, 120.0], "nu12": [0.15, 0.45]}}
 
 
-def cantilever(**sizes: Any) -> dict[str, Any]:
-    """Another plate of the same material, clamped on one edge."""
+EXACT = dict.fromkeys(("length_mm", "width_mm", "thickness_mm", "density_kg_m3"), 0.0)
+
+
+def cantilever(sd: dict[str, float] = EXACT, **sizes: Any) -> dict[str, Any]:
+    """Another plate of the same material, clamped on one edge, of exact sizes where nothing is said."""
+    changed = {"length_mm": 200.0, "width_mm": 100.0, "edges": "CFFF", **sizes, "sd": sd}
     return {
         **SIMULATED,
         "name": "cantilever",
         "specimen": "cantilever",
-        "plate": {**SIMULATED["plate"], "length_mm": 200.0, "width_mm": 100.0, "edges": "CFFF", **sizes},
+        "plate": {**SIMULATED["plate"], **changed},
     }
 
 
@@ -61,10 +65,18 @@ def test_the_noise_of_the_posterior_widens_the_interval_of_a_measurement(modulus
 
 def test_a_thickness_with_a_standard_deviation_widens_a_thin_plate_in_proportion(modulus_only) -> None:
     path, e = modulus_only
-    plate = cantilever(thickness_mm=1.0, sd={"thickness_mm": 0.03})
+    plate = cantilever({**EXACT, "thickness_mm": 0.03}, thickness_mm=1.0)
     (mode,) = cb.predict(path, plate, 1).modes
     expected = np.hypot(0.5 * e.std(ddof=1) / E_REFERENCE, 0.03)
     assert mode.sd / mode.mean == pytest.approx(expected, rel=0.1)  # 800 draws know a spread to 2.5 %
+
+
+def test_a_thickness_without_a_standard_deviation_has_the_usual_one(modulus_only) -> None:
+    path, e = modulus_only
+    (mode,) = cb.predict(path, cantilever({}, thickness_mm=1.0), 1).modes
+    # a density of 1 % and a length of 0.1 % too, the first mode going with 1 / L^2
+    expected = np.sqrt((0.5 * e.std(ddof=1) / E_REFERENCE) ** 2 + 0.01**2 + 0.005**2 + 0.002**2)
+    assert mode.sd / mode.mean == pytest.approx(expected, rel=0.1)
 
 
 @pytest.fixture(scope="module")

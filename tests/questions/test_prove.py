@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,8 @@ import pytest
 import cpam_bayes as cb
 from cpam_bayes.cli import main
 from cpam_bayes.errors import PlateFileError
-from cpam_bayes.questions.prove import CoinResult
+from cpam_bayes.questions.prove import CoinResult, _given_twice
+from cpam_bayes.render.notices import sentence_of
 from cpam_bayes.render.terminal import plain_text
 from tests.plate_file import PLATE
 
@@ -52,6 +54,7 @@ def result(lists: tuple[Path, str, str, str]) -> CoinResult:
     return cb.prove(plate, coin, none, sealed=folder / "seal.toml", seed=1)
 
 
+@pytest.mark.slow
 def test_a_table_and_a_list_are_answered_and_the_seal_is_compared(result: CoinResult) -> None:
     document = result.to_dict()
     coin, none = document["coins"]
@@ -67,12 +70,29 @@ def test_a_table_and_a_list_are_answered_and_the_seal_is_compared(result: CoinRe
     assert 0.0 < document["detection_limit_g"] < 20.0
 
 
+def test_the_second_list_is_predicted_from_the_first_and_the_seal(result: CoinResult) -> None:
+    document = result.to_dict()
+    rows = document["shifts"]
+    assert len(rows) == 2 * N
+    for row in rows:
+        beyond = abs(np.log(row["measured_hz"] / row["predicted_hz"])) * row["predicted_hz"] / row["sd_hz"]
+        assert row["inside"] == (beyond <= 1.96)
+    # a list without a mass is predicted to be the first
+    assert [row["predicted_hz"] for row in rows[N:]] == pytest.approx([row["first_hz"] for row in rows[N:]])
+    low, high = document["repeatability"]
+    assert low < 0.001 < high < 3.0 * low
+    assert 0.0 < document["shift_error"] < 0.5
+    certificate = plain_text(result.report().sections[0].tables[0])
+    assert "repeatability, from the shifts" in certificate
+
+
 def test_the_hash_is_that_of_the_sealed_file(result: CoinResult) -> None:
     digest = hashlib.sha256(SEAL.encode()).hexdigest()
     assert result.hash == digest
     assert digest in plain_text(result.report().sections[0].tables[0])
 
 
+@pytest.mark.slow
 def test_the_hash_is_shown_before_the_work(
     lists: tuple[Path, str, str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -90,6 +110,10 @@ def test_the_hash_is_shown_before_the_work(
         ("[[coin]]\nmass_g = 1\nx_mm = 2\ny_mm = 3\n", "1 tables"),
         ("[[coin]]\nmass_g = 1\nx_mm = 2\n[[coin]]\nmass_g = 0\n", "mass_g, x_mm and y_mm"),
         ("[[coin]]\nmass_g = 1\nx_mm = 999\ny_mm = 3\n[[coin]]\nmass_g = 0\n", "on the plate"),
+        (
+            "[[coin]]\nmass_g = 110\nx_mm = 9\ny_mm = 3\n[[coin]]\nmass_g = 0\n",
+            "0 to 100 g, 15 %",
+        ),
     ],
 )
 def test_a_seal_that_fits_no_list_is_refused_before_the_work(
@@ -101,6 +125,38 @@ def test_a_seal_that_fits_no_list_is_refused_before_the_work(
         cb.prove(plate, coin, none, sealed=tmp_path / "seal.toml")
 
 
+def test_a_seal_that_is_refused_is_not_given_away(lists: tuple[Path, str, str, str], tmp_path: Path) -> None:
+    _, plate, coin, _ = lists
+    (tmp_path / "seal.toml").write_text("[[coin]]\nmass_g = 7.25\nx_mm = 999\ny_mm = 3\n", encoding="utf-8")
+    with pytest.raises(PlateFileError) as refusal:
+        cb.prove(plate, coin, sealed=tmp_path / "seal.toml")
+    assert not {"7.25", "999"} & set(str(refusal.value).split())
+    with pytest.raises(PlateFileError, match="no such file, accepted: a sealed file"):
+        cb.prove(plate, coin, sealed=tmp_path / "none.toml")
+
+
+def test_a_plate_model_that_is_far_off_says_nothing_of_a_mass(lists: tuple[Path, str, str, str]) -> None:
+    _, plate, coin, _ = lists
+    specimen = cb.read_plate(plate)
+    clamped = replace(specimen, plate=replace(specimen.plate, edges="CFFF"))
+    with pytest.raises(PlateFileError, match="% off the plate model, whose mode shapes"):
+        cb.prove(clamped, coin)
+
+
 def test_a_list_of_another_length_is_refused(lists: tuple[Path, str, str, str]) -> None:
     with pytest.raises(PlateFileError, match="the same modes in both"):
         cb.prove(lists[1], [100.0, 200.0])
+
+
+def test_a_list_that_is_given_twice_is_told(lists: tuple[Path, str, str, str]) -> None:
+    first = cb.read_plate(lists[1]).measurement
+    assert first is not None
+    other = replace(first, frequencies=first.frequencies + 0.01)
+    found = list(_given_twice(first, [("a.csv", other), ("b.csv", first), ("c.csv", other)]))
+    assert [n.facts for n in found] == [
+        {"name": "b.csv", "before": "the first list"},
+        {"name": "c.csv", "before": "a.csv"},
+    ]
+    (same,) = _given_twice(first, [("a.csv", other), ("a.csv", other)])
+    assert same.facts == {"name": "a.csv", "before": "a.csv"}
+    assert sentence_of(found[0]).startswith("The frequencies of b.csv are those of the first list")

@@ -15,10 +15,13 @@ from cpam_bayes.answer import Notice
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Uniform
 from cpam_bayes.plate import builtin
+from cpam_bayes.questions.forward import forward
 from cpam_bayes.questions.identify import SampledResult, sample
 from cpam_bayes.questions.identify.posterior import product_text
 from cpam_bayes.render.report import json_text
+from tests.batches.plates import N_MODES, plate, written
 
+SIZES = ("length_mm", "width_mm", "thickness_mm", "density_kg_m3")
 SETTINGS = EnsembleSettings(walkers=16, round_steps=300, effective=100.0, most_steps=600)
 
 
@@ -67,7 +70,8 @@ def test_the_document_is_json_with_what_is_promised(sampled: SampledResult) -> N
     assert d["ess_per_second"] == pytest.approx(d["ess_bulk"] / d["seconds_sampling"], rel=1e-12)
     assert d["ess_per_second_in_all"] < d["ess_per_second"]
     assert set(document["identifiability"]["profiles"]) == {"E1_GPa", "nu12"}
-    assert len(document["identifiability"]["combinations"]) == 2
+    assert set(document["nuisance"]) == {*SIZES, "frequency_scale"}
+    assert len(document["identifiability"]["combinations"]) == 2 + len(document["nuisance"])
     assert len(document["frequencies"]) == 6
     for row in document["frequencies"]:
         assert 0.0 < row["left_out"]["leverage"] < 1.0
@@ -137,10 +141,10 @@ def test_the_file_opens_in_arviz_without_this_package(sampled: SampledResult, tm
     assert max(r_hat.values()) == pytest.approx(sampled.result.diagnostics.r_hat, abs=0.005)
     by_mode = {"frequencies_hz": ["chain", "draw", "mode"]}
     assert dims["log_likelihood"] == dims["posterior_predictive"] == dims["prior_predictive"] == by_mode
-    assert set(dims["constant_data"]) == {"length_mm", "width_mm", "thickness_mm", "density_kg_m3"}
+    assert set(dims["constant_data"]) == set(SIZES)
     assert dims["observed_data"] == {"frequencies_hz": ["mode"]}
     for group in ("posterior", "prior", "log_prior"):
-        assert set(dims[group]) == {"E1_GPa", "nu12", "relative_std"}
+        assert set(dims[group]) == {"E1_GPa", "nu12", *SIZES, "frequency_scale", "relative_std"}
         assert dims[group]["nu12"] == ["chain", "draw"]
     assert modes == [f"{i} {m.label}" for i, m in enumerate(sampled.modes[:6], 1)]
     versions = {f"{n}_version" for n in ("cpam_bayes", "numpy", "scipy", "emcee", "arviz_base")}
@@ -215,6 +219,23 @@ def test_a_list_that_may_lack_modes_has_one_likelihood_and_no_pareto_diagnostics
 
 
 @pytest.mark.slow
+def test_a_slip_of_the_file_is_named_and_corrected(tmp_path: Path) -> None:
+    listed = plate("p")
+    listed["measurement"]["frequencies_hz"] = forward(
+        {**listed, "plate": {**listed["plate"], "edges": "CFFF"}}, N_MODES
+    ).frequencies.tolist()
+    answer = sample(written(tmp_path / "p.toml", listed), seed=0, settings=SETTINGS)
+    assert [(slip.kind, slip.edits) for slip in answer.explained_by] == [
+        ("clamped", {("plate", "edges"): "CFFF"})
+    ]
+    assert "With the plate clamped at x = 0, not free (CFFF) it fits to" in answer.slips[0]
+    assert answer.report().summary.next_step == (
+        "correct the plate file; --out DIR writes it as corrected.toml."
+    )
+    assert 'edges = "CFFF"' in answer.texts()["corrected.toml"]
+    assert [slip["slip"] for slip in answer.to_dict()["explained_by"]] == ["clamped"]
+
+
 def test_fewer_frequencies_than_unknowns_are_allowed_and_the_prior_is_said_to_decide() -> None:
     specimen = builtin("A1")
     assert specimen.measurement is not None

@@ -57,7 +57,7 @@ def test_the_document_has_what_the_contract_names() -> None:
     assert document["outer_plies_better_determined"] is True
     mean = document["constants"]["E1_GPa"]["mean"]
     assert document["constants"]["E1_GPa"]["q025"] < mean < document["constants"]["E1_GPa"]["q975"]
-    assert mean == pytest.approx(mixed.parameters[:, 0].mean() / 1e9)
+    assert mean == pytest.approx(result.mixture.parameters[:, 0].mean() / 1e9)
     assert (document["noise_percent"], document["noise_inferred"]) == (pytest.approx(1.0, rel=1e-3), False)
     assert document["p_value"] > 0.99, "the list is one of the plate's own, without noise"
     assert work(result)["noise"].startswith("1.0 % of a frequency, from the plate file; alone it leaves")
@@ -184,12 +184,13 @@ def test_the_posterior_file_opens_in_plain_arviz(tmp_path: Path) -> None:
     import xarray
 
     own, mixed = answer(), mixture()
-    stacking_result(own, mixed, None, 3, 5).to_arviz().to_netcdf(tmp_path / "posterior.nc")
+    result = stacking_result(own, mixed, None, 3, 5)
+    result.to_arviz().to_netcdf(tmp_path / "posterior.nc")
     data = xarray.open_datatree(str(tmp_path / "posterior.nc"))
     posterior = data.posterior
     assert posterior["angle_deg"].dims == ("chain", "draw", "ply")
     assert posterior.sizes["draw"] == len(mixed.parameters)
-    np.testing.assert_allclose(posterior["E1_GPa"].values[0], mixed.parameters[:, 0] / 1e9)
+    np.testing.assert_allclose(posterior["E1_GPa"].values[0], result.mixture.parameters[:, 0] / 1e9)
     assert posterior["E1_GPa"].attrs["unit"] == "GPa"
     by = data.sample_stats["sampled_by"].values[0]
     assert np.mean(by == EMCEE) == pytest.approx(mixed.emcee_fraction, abs=1e-3)

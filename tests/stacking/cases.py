@@ -24,23 +24,31 @@ FREQUENCIES = 6
 
 
 def specimen_with(
-    frequencies: np.ndarray, layup: str, step: float, relative_std: float | None = 0.01
+    frequencies: np.ndarray,
+    layup: str,
+    step: float,
+    relative_std: float | None = 0.01,
+    thickness: float = 0.0032,
 ) -> Specimen:
     own = builtin("C1")
-    plate = replace(own.plate, layup=parse_layup(layup), width=0.19)
+    plate = replace(own.plate, layup=parse_layup(layup), width=0.19, thickness=thickness)
     measurement = Measurement(frequencies, 0.0, relative_std, None, ("",) * len(frequencies), True)
     return replace(own, plate=plate, measurement=measurement, angle_grid_deg=step)
 
 
 @once_a_run
 def listed(
-    layup: str, step: float, angles: tuple[float, ...] = TRUE, relative_std: float | None = 0.01
+    layup: str,
+    step: float,
+    angles: tuple[float, ...] = TRUE,
+    relative_std: float | None = 0.01,
+    thickness: float = 0.0032,
 ) -> Specimen:
     """A thin rectangular plate with the noise-free list of one sequence, and a stated noise."""
-    own = specimen_with(np.arange(1.0, FREQUENCIES + 1.0), layup, step, relative_std)
+    own = specimen_with(np.arange(1.0, FREQUENCIES + 1.0), layup, step, relative_std, thickness)
     model = reduced_model(own, angle_parameters(own).union(own.unknowns), FREQUENCIES)
     x = np.concatenate((angles, reference_vector(own, own.unknowns)))
-    return specimen_with(model.full.predict(x).frequencies[0], layup, step, relative_std)
+    return specimen_with(model.full.predict(x).frequencies[0], layup, step, relative_std, thickness)
 
 
 def specimen() -> Specimen:

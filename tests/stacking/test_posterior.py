@@ -158,7 +158,8 @@ def test_what_would_be_good_with_more_noise_leads_to_a_truth_that_few_sequences_
     layup, truth, step = "[(?/?/?)_2]_s", (30.0, -60.0, 10.0), 10.0
     few = TrainingSettings(initial=60, exploration_rounds=3, each_round=40, max_size=180, log2_points=4)
     settings = replace(QUICK, exhaustive=0, training=few)
-    problem = stacking_problem(listed(layup, step, truth, 0.001), 0, settings=settings)
+    # so thin that the error of theory leaves the peak as narrow as the noise makes it
+    problem = stacking_problem(listed(layup, step, truth, 0.001, 0.0008), 0, settings=settings)
     assert problem.sums is not None
     seeds = noisier_seeds(problem, problem.sums, np.random.default_rng(0), lambda text: None)
     assert seeds is not None
@@ -170,9 +171,8 @@ def test_what_would_be_good_with_more_noise_leads_to_a_truth_that_few_sequences_
             best = train(training, np.random.default_rng(seed), lambda text: None, start)
             first = best.data.sequences[best.data.log_evidence.argmax()]
             found.append(bool(np.any(np.all(true == first, axis=1))))
-    # of 5832 sequences 180 are looked at, which may meet the truth by luck
-    assert found[:2] == [True, True]
-    assert not all(found[2:])
+    # of 5832 sequences 180 are looked at; of the first five seeds three are led to the truth, by luck none is
+    assert found == [True, True, False, False]
     noisy = stacking_problem(listed(layup, step, truth), 0, settings=settings)
     assert noisier_seeds(noisy, problem.sums, np.random.default_rng(0), lambda text: None) is None
 

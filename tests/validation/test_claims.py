@@ -104,8 +104,10 @@ def test_tuning_and_final_sets_share_neither_plates_nor_seeds() -> None:
 
 def test_every_cause_of_the_catalogue_is_hidden_in_the_final_set() -> None:
     hidden = {plan.name.split("-")[0] for plan in sets.planned(sets.SETS["final"])}
-    # air is no error of one plate: it is always there, and never detectable alone
-    assert {e.name for e in CATALOGUE} - {"air"} <= hidden
+    # air is no error of one plate: it is always there, and never detectable alone; the set is older than
+    # four causes, which tests/diagnosis/test_hidden_effects.py hides
+    younger = {"layup", "edge_mass", "soft_support", "swapped_sides"}
+    assert {e.name for e in CATALOGUE} - {"air", *younger} <= hidden
     assert set(FLAWS) <= hidden
 
 

@@ -29,6 +29,7 @@ CLAMPED = described(
 SPRINGS = ("clamp_rotation", "clamp_translation", "soft_clamp")
 
 
+@pytest.mark.slow
 def test_springs_of_a_stiff_clamp_have_the_evidence_of_the_reference() -> None:
     case = plate_case(read_plate(CLAMPED))
     chosen = [(h, plates) for h, plates in hypotheses_of([case]) if h.cause in ("none", *SPRINGS)]
@@ -44,5 +45,6 @@ def test_springs_of_a_stiff_clamp_have_the_evidence_of_the_reference() -> None:
         )
         assert slow.error < 0.1
         assert t.marginal.log_evidence == pytest.approx(slow.log_evidence, abs=0.3)
-        # a spring that is hardly there is the plain model, times the prior of so little
-        assert tested["none"].marginal.log_evidence - t.marginal.log_evidence < -np.log(0.05)
+        # springs that are hardly there are the plain model, times the prior of so little of each
+        least = len(t.hypothesis.parameters) * np.log(0.05)
+        assert t.marginal.log_evidence - tested["none"].marginal.log_evidence > least

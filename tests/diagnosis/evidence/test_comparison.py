@@ -27,7 +27,7 @@ from tests.diagnosis.toy_plates import (
 
 WARP = cause("warp", whole_normal(0.1), is_even=True)
 NOISY = F0 * (1.0 + 0.004 * np.array([1.0, -0.5, 0.3, 2.0, -1.0, 0.2, 0.9, -1.4]))
-SHIFTED = Hypothesis(OTHER, OTHER, parameters=(DISCREPANCY,), prior=0.06)
+SHIFTED = Hypothesis(OTHER, OTHER, parameters=(DISCREPANCY,), prior=0.06, correlation_length=0.0)
 SMOOTH = replace(SHIFTED, correlation_length=0.8)
 
 

@@ -129,7 +129,7 @@ def test_an_evidence_is_the_sum_over_all_pairings(
     shift: Array, lacks: tuple[int, ...], false: tuple[float, ...]
 ) -> None:
     f = measured(shift, lacks, false)
-    found = weigh([plate(f)], of_one(NOTHING, *SINGLES), pairs=False)
+    found = weigh([plate(f)], of_one(NOTHING, *SINGLES), sets=False)
     for name in (NONE, "bent", "dented"):
         assert evidence(found, name) == pytest.approx(exact(f, name), abs=TOLERANCE)
     factor = exact(f, "bent") - exact(f, NONE)
@@ -142,7 +142,7 @@ def test_an_evidence_is_the_sum_over_all_pairings(
 
 def test_the_cause_is_found_though_the_plain_model_pairs_the_list_otherwise() -> None:
     f = measured(0.06 * BUMP, (4,), ())
-    found = weigh([plate(f)], of_one(NOTHING, *SINGLES), pairs=False)
+    found = weigh([plate(f)], of_one(NOTHING, *SINGLES), sets=False)
     truth = np.delete(np.arange(8), 4)
     assert not np.array_equal(found.none.cases[0].modes, truth)
     best = found.tested[0]
@@ -156,7 +156,7 @@ def test_a_labelled_frequency_keeps_its_mode_and_the_others_are_summed_over() ->
     # without the label the fourth frequency is more probably the fourth mode
     f = measured(0.0 * BUMP, (3,), (555.0,))
     labels = {3: 4, 7: 7}
-    found = weigh([plate(f, labels)], of_one(NOTHING, *SINGLES), pairs=False)
+    found = weigh([plate(f, labels)], of_one(NOTHING, *SINGLES), sets=False)
     for t in found.tested:
         assert all(t.cases[0].modes[i] == mode for i, mode in labels.items())
     for name in (NONE, "bent", "dented"):
@@ -165,7 +165,7 @@ def test_a_labelled_frequency_keeps_its_mode_and_the_others_are_summed_over() ->
 
 def test_a_wrong_label_is_believed() -> None:
     f = measured(0.0 * BUMP, (3,), ())
-    found = weigh([plate(f, {0: 1})], of_one(NOTHING), pairs=False)
+    found = weigh([plate(f, {0: 1})], of_one(NOTHING), sets=False)
     assert {int(t.cases[0].modes[0]) for t in found.tested} == {1}
 
 
@@ -173,7 +173,7 @@ def test_a_misread_frequency_of_an_incomplete_list_is_found() -> None:
     f = measured(0.0 * BUMP, (5,), ())
     f[2] *= 1.06
     errors = [misread(i, 0.02) for i in range(len(f))]
-    found = weigh([plate(f)], of_one(NOTHING, *SINGLES, *errors), pairs=False)
+    found = weigh([plate(f)], of_one(NOTHING, *SINGLES, *errors), sets=False)
     best = found.best_of("outlier")
     assert best.hypothesis.listed.misread == 2
     np.testing.assert_array_equal(best.cases[0].modes, np.delete(np.arange(8), 5))
@@ -188,7 +188,7 @@ def test_a_complete_list_beside_an_incomplete_one_keeps_its_pairing() -> None:
     )
     gaps = plate(measured(0.0 * BUMP, (2,), ()))
     every = [(h, (0, 1)) for h in (NOTHING, *SINGLES)]
-    found = weigh([whole, gaps], every, pairs=False)
+    found = weigh([whole, gaps], every, sets=False)
     assert found.tested[0].hypothesis.cause == NONE
     for t in found.tested:
         np.testing.assert_array_equal(t.cases[0].modes, np.arange(8))
@@ -197,7 +197,7 @@ def test_a_complete_list_beside_an_incomplete_one_keeps_its_pairing() -> None:
 
 def test_the_answer_shows_false_peaks_and_missed_modes_of_each_fit() -> None:
     f = measured(0.03 * BUMP, (3,), (555.0,))
-    d = diagnose_cases([plate(f)], hypotheses=of_one(NOTHING, ANYTHING, *SINGLES), pairs=False)
+    d = diagnose_cases([plate(f)], hypotheses=of_one(NOTHING, ANYTHING, *SINGLES), sets=False)
     assert d.claim.causes == ("bent",)
     assert d.extended is not None
     assert d.gain is not None

@@ -31,7 +31,7 @@ from tests.diagnosis.toy_plates import (
 
 BENT, DENTED = cause("bent", whole_normal(0.02)), cause("dented", whole_normal(0.02))
 WARP = cause("warp", whole_normal(0.1), is_even=True)
-ANYTHING = Hypothesis(OTHER, OTHER, parameters=(DISCREPANCY,), prior=0.06)
+ANYTHING = Hypothesis(OTHER, OTHER, parameters=(DISCREPANCY,), prior=0.06, correlation_length=0.0)
 WALKERS = 40
 
 

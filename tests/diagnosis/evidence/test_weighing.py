@@ -4,20 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
 
+from cpam_bayes.diagnosis.answers.detectability import detectable, linear_oracle, shift_lines
 from cpam_bayes.diagnosis.comparison import PlateCase, comparison_of, effect_columns
 from cpam_bayes.diagnosis.evidence import weighing as pairs
 from cpam_bayes.diagnosis.evidence.weighing import Weighed, marginal_of, weigh
 from cpam_bayes.diagnosis.hypotheses import (
     NONE,
-    P_PAIR,
+    P_SETS,
     Hypothesis,
     causes_in,
-    paired,
+    go_together,
+    inclusion_of,
+    set_scales,
+    together,
 )
+from cpam_bayes.diagnosis.signatures import menu_of, projector_of, signature_of
 from cpam_bayes.effects import ListChange
 from cpam_bayes.forward_model.composed import ComposedModel
 from cpam_bayes.mechanics.modes import RigidBodyError
@@ -41,6 +47,7 @@ from tests.diagnosis.toy_plates import (
     log_normal_density,
     misread,
     pairs_of,
+    stepped,
     straight,
     whole_normal,
     with_slip,
@@ -74,7 +81,7 @@ def exact(case: PlateCase, name: str) -> float:
 def test_probabilities_are_priors_times_exact_evidences(size: float) -> None:
     own = plate(size * BUMP)
     told: list[Mapping[str, float]] = []
-    found = weigh([own], of_one(NOTHING, *SINGLES), pairs=False, so_far=told.append)
+    found = weigh([own], of_one(NOTHING, *SINGLES), sets=False, so_far=told.append)
     assert set(told[-1]) == set(found.by_cause())
     assert all(sum(shares.values()) == pytest.approx(1.0) for shares in told)
     log_weight = {h.cause: np.log(h.prior) + exact(own, h.cause) for h in (NOTHING, *SINGLES)}
@@ -94,7 +101,7 @@ def test_two_causes_at_once_are_found_as_a_pair_and_probabilities_fall_and_sum_t
     own = plate(0.03 * DENT + 0.03 * BUMP)
     found = weigh([own], of_one(NOTHING, ANYTHING, *SINGLES))
     best = found.tested[0].hypothesis
-    assert best.family == "pair"
+    assert best.family == "set"
     assert set(best.causes) == {"bent", "dented"}
     f = own.measurement.frequencies
     expected = exact_log_evidence(f, NOISE * f, SHIFTS["bent"], SHIFTS["dented"])
@@ -105,6 +112,34 @@ def test_two_causes_at_once_are_found_as_a_pair_and_probabilities_fall_and_sum_t
     assert p == sorted(p, reverse=True)
     assert sum(found.by_cause().values()) == pytest.approx(1.0, abs=1e-12)
     assert found.none.log_bayes_factor == 0.0
+
+
+def test_a_cause_without_a_size_has_a_shift_and_a_signature_and_acts_in_pairs() -> None:
+    step = 0.04 * DENT
+    alone, both = plate(step), plate(step + 0.03 * BUMP)
+    stated = {id(own): stepped(own, "swapped", step) for own in (alone, both)}
+    bent = hypothesis(BENT, 0.1)
+    found = weigh([alone], of_one(NOTHING, ANYTHING, stated[id(alone)], bent), sets=False)
+    swapped, none = found.tested[0], found.none.marginal
+    assert (swapped.hypothesis.cause, found.tested[0].probability > 0.99) == ("swapped", True)
+    assert swapped.shift is not None
+    assert swapped.shift.scores.shape == (1, 0)
+    projector = projector_of(none)
+    f, _ = none.comparison.predict(none.best[None])
+    # a shift of the bare frequencies at the constants of the plain model
+    np.testing.assert_allclose(swapped.shift.shift[0], np.log1p(step * F0 / f[0]), atol=1e-12)
+    seen = signature_of(swapped, none, projector)
+    assert seen.visible_fraction > 0.5
+    assert seen.largest == pytest.approx(np.abs(step).max(), rel=0.1)
+    menu = menu_of(swapped, none, projector)
+    assert menu is not None
+    assert menu.cosine(seen.visible) == pytest.approx(1.0, abs=1e-3)
+    # it stands among the causes that detection limits of others are of
+    assert "swapped" in {entry.cause for entry in detectable(found)}
+    lines = shift_lines(found.tested, none)
+    assert "swapped" in linear_oracle(found, lines, 20, np.random.default_rng(0)).causes
+    pair = weigh([both], of_one(NOTHING, ANYTHING, stated[id(both)], bent)).tested[0].hypothesis
+    assert set(pair.causes) == {"swapped", "bent"}
 
 
 def test_a_pair_is_found_though_other_causes_look_more_like_it_alone() -> None:
@@ -122,16 +157,18 @@ def test_a_pair_is_found_though_other_causes_look_more_like_it_alone() -> None:
     alone = [t.hypothesis.cause for t in found.tested if t.hypothesis.cause in (*nearly, "bent", "dented")]
     assert set(alone[:3]) <= set(nearly)
     assert set(found.tested[0].hypothesis.causes) == {"bent", "dented"}
-    assert found.tested[0].probability > 0.95
-    two = [t.hypothesis for t in found.tested if t.hypothesis.family == "pair"]
-    assert len({frozenset(h.causes) for h in two}) == len({h.cause for h in two}) == len(two) > 4
+    assert found.by_cause()["bent + dented"] > 0.95
+    two = [t.hypothesis for t in found.tested if t.hypothesis.family == "set"]
+    assert len({frozenset(h.causes) for h in two}) == len({h.cause for h in two})
+    assert len({(h.cause, h.variant) for h in two}) == len(two)
 
 
 def test_a_pair_is_the_same_whichever_cause_is_first() -> None:
-    assert paired(SINGLES[0], SINGLES[1], 2.0) == paired(SINGLES[1], SINGLES[0], 2.0)
+    scales = {2: 2.0}
+    assert together(SINGLES[:2], scales) == together(SINGLES[1::-1], scales)
     turned = replace(SINGLES[0], variant="to the left"), replace(SINGLES[1], variant="at a corner")
-    assert paired(*turned, 1.0).variant == "to the left / at a corner"
-    assert causes_in(paired(*turned, 1.0).cause) == ("bent", "dented")
+    assert together(turned, scales).variant == "to the left / at a corner"
+    assert causes_in(together(turned, scales).cause) == ("bent", "dented")
 
 
 def test_pairs_are_ranked_though_the_prior_medians_break_the_constraints(
@@ -156,18 +193,41 @@ def test_pairs_that_time_does_not_allow_leave_the_answer_cut_short(monkeypatch: 
     assert weigh([own], of_one(NOTHING, ANYTHING, *SINGLES)).is_cut_short
 
 
-def test_a_pair_that_shows_one_cause_only_counts_for_that_cause() -> None:
+def test_a_cause_that_does_not_show_beside_another_is_not_fitted_with_it() -> None:
     own = plate(0.015 * DENT)
-    found, alone = (weigh([own], of_one(NOTHING, ANYTHING, *SINGLES), pairs=p) for p in (True, False))
-    two = [t.hypothesis.causes for t in found.tested if t.hypothesis.family == "pair"]
-    assert all("dented" not in causes for causes in two)
+    found, alone = (weigh([own], of_one(NOTHING, ANYTHING, *SINGLES), sets=some) for some in (True, False))
+    assert all("dented" not in t.hypothesis.causes for t in found.tested if t.hypothesis.family == "set")
     assert found.by_cause()["dented"] == pytest.approx(alone.by_cause()["dented"], abs=1e-3)
+    assert found.unaccounted < 0.01
+
+
+def test_three_causes_at_once_are_found_and_each_is_included() -> None:
+    own = plate(0.03 * (DENT + BUMP + SHIFTS["turned"][0]))
+    found = weigh([own], of_one(NOTHING, ANYTHING, *SINGLES))
+    assert set(found.tested[0].hypothesis.causes) == {"bent", "dented", "turned"}
+    assert all(p > 0.9 for p in inclusion_of(found.by_cause()).values())
+    f = own.measurement.frequencies
+    expected = exact_log_evidence(f, NOISE * f, *SHIFTS.values())
+    # relative shifts of effects multiply
+    assert found.tested[0].marginal.log_evidence == pytest.approx(expected, abs=1.0)
+
+
+def test_the_priors_of_sets_are_those_of_their_number() -> None:
+    scales = set_scales(SINGLES)
+    (three,) = (together(some, scales) for some in combinations(SINGLES, 3))
+    assert three.prior == pytest.approx(P_SETS[3])
+    assert three.parts == tuple(sorted(SINGLES, key=lambda h: h.cause))
+    assert set_scales(SINGLES[:2])[3] == 0.0
+    pair = together(SINGLES[:2], scales)
+    assert together((pair, SINGLES[2]), scales) == three
+    assert go_together(pair, SINGLES[2])
+    assert not go_together(pair, SINGLES[0])
 
 
 def test_no_pair_is_looked_at_where_none_leads() -> None:
     found = weigh([plate(0.0 * DENT)], of_one(NOTHING, ANYTHING, *SINGLES))
     assert found.tested[0].hypothesis.cause == NONE
-    assert all(t.hypothesis.family != "pair" for t in found.tested)
+    assert all(t.hypothesis.family != "set" for t in found.tested)
 
 
 @pytest.mark.parametrize("i", [0, 3, 5])
@@ -175,12 +235,13 @@ def test_the_misread_frequency_is_found_again_beside_a_gross_cause(i: int) -> No
     """Alone, another frequency looks misread: that one was the only one to be tried beside the cause."""
     errors = [misread(k) for k in range(8)]
     own = plate(with_slip(i, 0.03) + 0.04 * DENT)
-    alone = weigh([own], of_one(NOTHING, ANYTHING, *SINGLES, *errors), pairs=False)
+    alone = weigh([own], of_one(NOTHING, ANYTHING, *SINGLES, *errors), sets=False)
     assert next(t for t in alone.tested if t.hypothesis.cause == "outlier").hypothesis.listed.misread != i
-    best = weigh([own], of_one(NOTHING, ANYTHING, *SINGLES, *errors)).tested[0]
+    found = weigh([own], of_one(NOTHING, ANYTHING, *SINGLES, *errors))
+    best = found.tested[0]
     assert best.hypothesis.causes == ("dented", "outlier")
     assert best.hypothesis.listed.misread == i
-    assert best.probability > 0.9
+    assert found.by_cause()[best.hypothesis.cause] > 0.9
 
 
 def test_an_outlier_and_a_cause_of_the_plate_go_together_in_either_order() -> None:
@@ -203,11 +264,11 @@ def test_an_outlier_and_a_cause_of_the_plate_go_together_in_either_order() -> No
 
 def test_pairs_share_their_prior_in_proportion_to_the_product_of_the_causes() -> None:
     pairs = pairs_of(SINGLES, SINGLES)
-    assert sum(p.prior for p in pairs) == pytest.approx(P_PAIR)
+    assert sum(p.prior for p in pairs) == pytest.approx(P_SETS[2])
     heavy = (replace(SINGLES[0], prior=0.3), *SINGLES[1:])
     found = {p.causes: p.prior for p in pairs_of(heavy, heavy)}
     assert found["bent", "dented"] == pytest.approx(3.0 * found["dented", "turned"])
-    assert sum(found.values()) == pytest.approx(P_PAIR)
+    assert sum(found.values()) == pytest.approx(P_SETS[2])
 
 
 def test_what_cannot_act_together_is_no_pair() -> None:
@@ -232,7 +293,7 @@ def test_a_plate_that_cannot_be_told_from_a_rigid_body_is_named_and_left_out() -
 
     model = own.extended["bent", ""]
     own.extended["bent", ""] = replace(model, function=soft)  # type: ignore[call-arg]
-    found = weigh([own], of_one(NOTHING, *SINGLES), pairs=False)
+    found = weigh([own], of_one(NOTHING, *SINGLES), sets=False)
     assert len(found.not_tested) == 1
     assert found.not_tested[0].startswith("bent: ")
     assert {t.hypothesis.cause for t in found.tested} == {NONE, "dented", "turned"}
@@ -259,18 +320,18 @@ def test_two_plates_of_one_material_share_constants_with_a_scatter() -> None:
 def test_a_cause_of_one_plate_is_not_that_of_the_other() -> None:
     cases = [plate(0.0 * DENT, name="one"), plate(0.03 * DENT, name="two")]
     hypotheses = [(NOTHING, (0, 1)), *((SINGLES[1], at) for at in ((0, 1), (0,), (1,)))]
-    found = weigh(cases, hypotheses, pairs=False)
+    found = weigh(cases, hypotheses, sets=False)
     assert found.tested[0].plates == (1,)
     assert found.tested[0].probability > 0.9
 
 
 def test_two_tests_of_one_specimen_share_its_flaw_and_have_no_scatter() -> None:
     cases = [plate(0.03 * DENT, name=name, specimen="same") for name in ("one", "two")]
-    found = weigh(cases, [(NOTHING, (0, 1)), (SINGLES[1], (0, 1))], pairs=False)
+    found = weigh(cases, [(NOTHING, (0, 1)), (SINGLES[1], (0, 1))], sets=False)
     best = found.tested[0]
     assert best.hypothesis.cause == "dented"
     assert best.marginal.comparison.parameters.names == ("E1", "G12", "size of dented")
-    alone = weigh(cases[:1], of_one(NOTHING, SINGLES[1]), pairs=False).tested[0]
+    alone = weigh(cases[:1], of_one(NOTHING, SINGLES[1]), sets=False).tested[0]
     ratio = best.marginal.moments()[1][2] / alone.marginal.moments()[1][2]
     # the same list twice: half the variance
     assert ratio == pytest.approx(np.sqrt(0.5), rel=0.1)
@@ -282,3 +343,15 @@ def test_the_answer_is_the_same_each_time() -> None:
 
     first, second = once(), once()
     assert [t.probability for t in first.tested] == [t.probability for t in second.tested]
+
+
+def test_no_second_error_of_the_list_is_ranked_where_one_leads() -> None:
+    f = F0 * (1.0 + A @ [0.03, -0.04] + 0.06 * DENT) * (1.0 + NOISE * SCATTER)
+    effects = [(e, straight(SHIFTS[e.name][0])) for e in (BENT, DENTED, TURNED)]
+    own = case(a_list(np.delete(f, 2), NOISE), effects)
+    missed = Hypothesis("mode_identity", "list", listed=ListChange(missed=(2,)), prior=0.1)
+    errors = [misread(k) for k in range(7)]
+    found = weigh([own], of_one(NOTHING, ANYTHING, *SINGLES, missed, *errors))
+    sets = [t.hypothesis for t in found.tested if t.hypothesis.family == "set"]
+    assert any(h.listed.missed for h in sets)
+    assert all(sum(part.family == "list" for part in h.parts) <= 1 for h in sets)

@@ -8,24 +8,23 @@ import numpy as np
 import pytest
 
 from cpam_bayes.printed.tables import identified_layups, printed_table
+from cpam_bayes.questions.paper.noise import MeansOfTen, NoisyAngles, noise_rows
 from cpam_bayes.questions.paper.rows import (
     AGREES,
     BUILT_IN,
     FOUR,
     INPUT,
+    NOT_COMPUTED,
     NOT_REPRODUCIBLE,
     TWO,
     UNTOLD,
     WITHIN,
-    MeansOfTen,
-    NoisyAngles,
     Row,
     constant_rows,
     frequency_rows,
     in_credible_set,
     input_rows,
     layup_rows,
-    noise_rows,
 )
 from cpam_bayes.questions.paper.work import packaged
 
@@ -155,6 +154,15 @@ def test_means_of_ten_agree_within_two_standard_errors_and_five_per_cent(
     assert row.details["printed_percent"] == -1.7
 
 
+def test_a_mean_outside_its_own_interval_says_why() -> None:
+    results = noise_results(60.0, 2.0)
+    for level in results["levels"]:
+        level["constants"]["E1_GPa"] = {**level["constants"]["E1_GPa"], "q025": 61.0}
+    rows = list(noise_rows(printed_table(10), {("noise", "A2", BUILT_IN): results}, packaged("sequences")))
+    said = [of(rows, quantity, "1 % disorder").reason for quantity in ("E1_GPa", "nu12")]
+    assert ["ours lies outside its own interval" in reason for reason in said] == [True, False]
+
+
 @pytest.mark.parametrize(
     ("probability", "count", "rank", "inside"),
     [(0.2, 10, None, True), (1e-9, 10, None, False), (0.01, 10, None, None), (0.01, 10, 3, True)],
@@ -220,4 +228,5 @@ def test_the_search_of_angles_with_the_constants_is_the_repetition_that_is_compa
     assert (angles.verdict, angles.ours) == (AGREES, pytest.approx((5.0, 90.0, 0.0, 90.0)))
     alone = list(noise_rows(printed_table(11), {("noise", "C1", BUILT_IN): known}, packaged("sequences")))
     assert of(alone, "E1_GPa", "1 % disorder").verdict == AGREES
-    assert of(alone, "angles_deg", "1 % disorder").ours is None
+    left_out = of(alone, "angles_deg", "1 % disorder")
+    assert (left_out.ours, left_out.verdict) == (None, NOT_COMPUTED)

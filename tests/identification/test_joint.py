@@ -1,0 +1,117 @@
+"""Several lists in one identification: what they share, what each has of its own, what is refused."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import cpam_bayes as cb
+from cpam_bayes.questions.identify import COMMAND, JointResult
+from tests.batches.plates import written
+
+Table = dict[str, Any]
+
+
+def plate(name: str, specimen: str, edges: str = "FFFF", stretch: float = 1.0) -> Table:
+    """An aluminium plate with the list that its model has, all frequencies stretched."""
+    table: Table = {
+        "name": name,
+        "specimen": specimen,
+        "plate": {
+            "length_mm": 300.0,
+            "width_mm": 280.0,
+            "thickness_mm": 3.0,
+            "density_kg_m3": 2700.0,
+            "edges": edges,
+        },
+        "material": {"isotropic": True, "E1_GPa": 69.0, "nu12": 0.33, "name": "aluminium"},
+        "unknowns": {"E1_GPa": [10.0, 200.0], "nu12": [0.15, 0.4]},
+    }
+    listed = (stretch * cb.forward(table, n_modes=6).frequencies).round(2).tolist()
+    table["measurement"] = {"frequencies_hz": listed, "resolution_hz": 0.01, "relative_std": 0.002}
+    return table
+
+
+@pytest.fixture(scope="module")
+def tests() -> JointResult:
+    return cb.identify(plate("free", "P"), plate("clamped", "P", "CFFF"), seed=0)
+
+
+def test_two_tests_of_a_plate_give_its_constants_with_smaller_intervals(tests: JointResult) -> None:
+    free = cb.identify(plate("free", "P"), seed=0, residuals="whitened").constants
+    for name, truth in (("E1", 69e9), ("nu12", 0.33)):
+        assert tests.constants[name].value == pytest.approx(truth, abs=0.3 * tests.constants[name].sd)
+        assert tests.constants[name].sd < 1.02 * free[name].sd  # sampling knows a sd to 2 %
+    assert tests.constants["nu12"].sd < 0.95 * free["nu12"].sd
+
+
+def test_a_common_thickness_is_not_averaged_over_tests_but_over_plates(tests: JointResult) -> None:
+    # E1 is as exact as the thickness: a second test repeats its error, a second plate has its own
+    sisters = cb.identify(plate("free", "P"), plate("clamped", "Q", "CFFF"), seed=0, scatter=1e-4)
+    assert sisters.constants["E1"].sd < 0.85 * tests.constants["E1"].sd
+
+
+def test_a_list_that_contradicts_the_other_is_named_and_widened() -> None:
+    joint = cb.identify(plate("free", "P"), plate("clamped", "P", "CFFF", stretch=1.04), seed=0)
+    assert "list_over_noise" in [notice.code for notice in joint.notices]
+
+
+def test_the_slip_of_one_list_is_named_with_its_corrected_file(tmp_path: Path) -> None:
+    wrong = plate("clamped", "P", "CFFF")
+    wrong["plate"]["edges"] = "FFFF"
+    files = [written(tmp_path / f"{p['name']}.toml", p) for p in (plate("free", "P"), wrong)]
+    for file in files:
+        file.write_text(f'specimen = "P"\n{file.read_text(encoding="utf-8")}', encoding="utf-8")
+    joint = cb.identify(*files, seed=0)
+    assert [[slip.kind for slip in slips] for slips in joint.explained_by] == [[], ["clamped"]]
+    (said,) = joint.slips
+    assert said.startswith("clamped: the misfit is")
+    assert "With the plate clamped at x = 0, not free (CFFF)" in said
+    (name, text), *others = joint.texts().items()
+    assert (name, others) == ("corrected_2.toml", [])
+    assert 'edges = "CFFF"' in text
+    assert joint.report().summary.next_step == (
+        "correct the plate file of clamped; --out DIR writes it as corrected_2.toml."
+    )
+    assert [len(p["explained_by"]) for p in joint.to_dict()["plates"]] == [0, 1]
+
+
+@pytest.mark.slow
+def test_a_list_of_unknown_noise_that_no_plate_of_its_file_has_is_named() -> None:
+    wrong = plate("clamped", "P", "CFFF")
+    wrong["plate"]["edges"] = "FFFF"
+    del wrong["measurement"]["relative_std"]
+    joint = cb.identify(plate("free", "P"), wrong, seed=0)
+    assert [len(slips) for slips in joint.explained_by] == [0, 1]
+    (said,) = joint.slips
+    assert said.startswith("The plate model does not describe the frequencies of clamped: its best fit is")
+
+
+def test_the_document_has_the_constants_once_and_each_list(tests: JointResult) -> None:
+    document = tests.to_dict()
+    assert (document["tests"], document["specimens"]) == (2, 1)
+    assert [p["plate"] for p in document["plates"]] == ["free", "clamped"]
+    assert len(document["frequencies"]) == 12
+    assert set(document["constants"]) == {"E1_GPa", "nu12"}
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"unknowns": {"E1_GPa": [10.0, 200.0]}}, "the same .unknowns."),
+        ({"material": {"isotropic": True, "E1_GPa": 69.0, "nu12": 0.33, "name": "steel"}}, "of one material"),
+        ({"name": "free"}, "one list counts once"),
+    ],
+)
+def test_plates_that_share_no_constants_are_refused(change: Table, said: str) -> None:
+    first = plate("free", "P")
+    with pytest.raises(ValueError, match=said):
+        cb.identify(first, copy.deepcopy(first) | {"name": "other"} | change)
+
+
+def test_emcee_takes_one_plate() -> None:
+    with pytest.raises(ValueError, match="received 2 plates, accepted: one"):
+        COMMAND.verb("A1", "A2", backend="emcee")

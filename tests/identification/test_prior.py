@@ -1,0 +1,143 @@
+"""One prior for all verbs: the bounds of [unknowns] times what is known of the references."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cpam_bayes as cb
+from cpam_bayes.answer import Constant, Verdict
+from cpam_bayes.diagnosis.cases import plate_case
+from cpam_bayes.forward_model.model import ASSUMED_SD, assumed_spreads, constant_parameters, with_references
+from cpam_bayes.parameters import TruncatedLogNormal, TruncatedNormal, Uniform
+from cpam_bayes.plate import Specimen, parse_specimen
+from cpam_bayes.questions.identify import PointResult
+from cpam_bayes.questions.identify.emcee import SampledResult
+from cpam_bayes.render.sentences import determined_text, references_said
+from tests.diagnosed import diagnosed
+from tests.plate_file import MEASURED, PLATE
+
+PANEL = str(Path(__file__).parents[2] / "examples" / "panel.toml")
+# The constants that the list of the panel was made with.
+TRUTH = {"E1": 136.5e9, "E2": 8.8e9, "nu12": 0.32, "G12": 4.62e9}
+SD = "\n[material.sd]\nE1_GPa = 2.0\n"
+
+
+def plate(text: str = PLATE) -> Specimen:
+    return parse_specimen(text + MEASURED, "plate.toml")
+
+
+@pytest.fixture(scope="module")
+def point() -> PointResult:
+    return cb.identify(PANEL, seed=0)
+
+
+@pytest.fixture(scope="module")
+def sampled() -> SampledResult:
+    return cb.sample(PANEL, seed=0)
+
+
+def test_identify_sample_and_diagnose_answer_alike_on_the_panel_of_the_readme(
+    point: PointResult, sampled: SampledResult
+) -> None:
+    """Each of 600 draws or more: a mean to 0.041 sd, an sd to 2.9 %; apart, three standard errors of two."""
+    diagnosis = diagnosed([plate_case(cb.read_plate(PANEL))], ["frequency_scale"], gain=False)
+    for name, (mean, sd, *_) in diagnosis.baseline.constants.items():
+        if name not in TRUTH:
+            continue
+        answers = [(c.constants[name].value, c.constants[name].sd) for c in (point, sampled)] + [(mean, sd)]
+        values, spreads = np.array(answers).T
+        assert np.ptp(values) < 3.0 * 2.0**0.5 * 0.041 * spreads.min(), name
+        assert np.ptp(spreads) < 3.0 * 2.0**0.5 * 0.029 * spreads.min(), name
+
+
+def test_the_truth_of_the_panel_lies_in_every_interval(point: PointResult, sampled: SampledResult) -> None:
+    for answer in (point.constants, sampled.constants, {c.name: c for c in point.estimate.alone}):
+        for name, true in TRUTH.items():
+            low, high = answer[name].interval or (np.nan, np.nan)
+            assert low < true < high
+
+
+def test_the_frequencies_alone_leave_open_what_the_data_sheet_decides(point: PointResult) -> None:
+    alone = {c.name: c for c in point.estimate.alone}["nu12"]
+    found = point.constants["nu12"]
+    assert alone.sd > 2.0 * found.sd
+    assert isinstance(alone.prior, Uniform)
+    assert determined_text(found) == "not determined: the data sheet decides"
+    assert "the data sheet." in point.summary()
+    assert "from the frequencies alone" in point.summary(verbose=True)
+    assert point.to_dict()["frequencies_alone"]["nu12"]["sd"] == pytest.approx(alone.sd)
+
+
+def test_a_stated_reference_is_normal_within_its_bounds() -> None:
+    e1, nu12 = (p.prior for p in constant_parameters(plate(PLATE + SD)).parameters)
+    assert e1 == TruncatedNormal(69e9, 2e9, *bounds("E1"))
+    assert isinstance(nu12, TruncatedLogNormal)
+    cut = constant_parameters(plate(PLATE + SD), 4.0)["E1"].prior
+    assert (cut.lower, cut.upper) == (61e9, 77e9)
+
+
+def bounds(name: str) -> tuple[float, float]:
+    prior = plate().unknowns[name].prior
+    return prior.lower, prior.upper
+
+
+def test_a_reference_without_a_standard_deviation_is_known_to_a_quarter_and_orthotropic_to_four_tenths() -> (
+    None
+):
+    assert ASSUMED_SD["isotropic"] == ASSUMED_SD["transversely_isotropic"] == 0.25
+    assert ASSUMED_SD["orthotropic"] == 0.4
+    specimen = with_references(plate())
+    assert specimen.unknowns["E1"].prior == TruncatedLogNormal(69e9, 0.25, *bounds("E1"))
+    assert assumed_spreads(specimen) == {"E1": 0.25, "nu12": 0.25}
+    assert references_said(specimen) == ("the data sheet (25 % assumed)",)
+    some = with_references(plate(PLATE + SD))
+    assert references_said(some) == ("the data sheet (25 % assumed for nu12)",)
+    every = with_references(plate(f"{PLATE}{SD}nu12 = 0.01\n"))
+    assert references_said(every) == ("the data sheet",)
+
+
+def test_the_prior_is_made_once() -> None:
+    for text in (PLATE, PLATE + SD):
+        once = with_references(plate(text))
+        assert with_references(once).unknowns == once.unknowns
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        PLATE.replace("[material]\n", "[material]\nknown = false\n") + SD,
+        PLATE.replace("E1_GPa = 69.0", "E1_GPa = 950.0").replace("nu12 = 0.33\n", "nu12 = -0.1\n"),
+    ],
+    ids=["not known", "outside its bounds"],
+)
+def test_bounds_alone_count_where_nothing_is_known_of_a_reference(changed: str) -> None:
+    specimen = plate(changed)
+    assert constant_parameters(specimen) == specimen.unknowns
+    assert references_said(with_references(specimen)) == ()
+
+
+def test_a_normal_prior_of_unknowns_stays() -> None:
+    low, high = bounds("E1")
+    normal = f"{{ mean = 70.0, sd = 1.0, bounds = [{low / 1e9}, {high / 1e9}] }}"
+    text = PLATE.replace(f"E1_GPa = [{low / 1e9}, {high / 1e9}]", f"E1_GPa = {normal}") + SD
+    assert constant_parameters(plate(text))["E1"].prior == TruncatedNormal(70e9, 1e9, low, high)
+
+
+def test_bounds_that_leave_nothing_of_a_stated_reference_are_refused() -> None:
+    specimen = plate(PLATE.replace("E1_GPa = 69.0", "E1_GPa = 900.0") + SD)
+    with pytest.raises(
+        ValueError, match=r"unknowns\.E1: its bounds leave nothing within 4 standard deviations"
+    ):
+        constant_parameters(specimen)
+
+
+def test_a_prior_that_counts_is_called_by_where_it_is_from() -> None:
+    stated = TruncatedNormal(69e9, 2e9, 10e9, 200e9)
+    c = Constant("E1", 70e9, 1e9, (68e9, 72e9), stated, 69e9, Verdict.BOTH)
+    assert determined_text(c) == "partly: the data sheet's 69 +- 2 GPa counts"
+    assert determined_text(replace(c, reference=71e9)) == "partly: prior 69 +- 2 GPa counts"
+    assert determined_text(replace(c, verdict=Verdict.PRIOR, reference=71e9)) == "not determined"

@@ -1,0 +1,280 @@
+"""A table is read as laboratories lay it out, or one message says what to do."""
+
+from __future__ import annotations
+
+import datetime
+import io
+
+import numpy as np
+import openpyxl
+import pytest
+
+from tests.layouts import LONG, MODES, TABLE, TAPPED, THREE, WIDE, across, sheet, wide
+
+WRITTEN = {
+    "commas": TABLE,
+    "semicolons and decimal commas": TABLE.replace(",", ";").replace(".", ","),
+    "tabs and decimal commas": TABLE.replace(",", "\t").replace(".", ","),
+    "bars": TABLE.replace(",", " | "),
+    "spaces": "  mode   hz  damping\n 1 101.5  0.004\n 2   305.25 0.002 \n 3 333\n",
+    "decimal commas in quotes": '"mode","hz","damping"\n"1","101,5","0,004"\n2,"305,25","0,002"\n3,333,\n',
+    "no space to spare": TABLE.replace("\n", "\r\n"),
+    "a byte order mark": TABLE.encode("utf-8-sig"),
+    "UTF-16": TABLE.encode("utf-16"),
+    "Windows-1252": f"# Schl\u00e4ge\n{TABLE}".encode("cp1252"),
+    "lines above, comments and empty lines": f"Project;bar 7, hung\nDate 3.4.\n\n# heads\n{TABLE}\n# end\n\n",
+    "a separator that is declared": "sep=;\n" + TABLE.replace(",", ";").replace(".", ","),
+    "heads that begin as a comment": "# " + TABLE,
+    "units in brackets": "Mode No.;Frequency [kHz];Damping (%)\n1;0,1015;0,4\n2;0,30525;0,2\n3;0,333;\n",
+    "units after the name": "mode,frequency_hz,damping_%\n1,101.5,0.4\n2,305.25,0.2\n3,333,\n",
+    "other columns": "mode,amplitude,hz,damping\n1,9.9,101.5,0.004\n2,?,305.25,0.002\n3,,333,\n",
+    "another order": "damping,hz,mode\n,333,3\n0.002,305.25,2\n0.004,101.5,1\n",
+}
+
+
+@pytest.mark.parametrize("content", WRITTEN.values(), ids=WRITTEN)
+def test_a_table_says_the_same_however_it_is_written(measured, content: str | bytes) -> None:
+    found = measured(content)
+    np.testing.assert_allclose(found.frequencies, [101.5, 305.25, 333.0], rtol=1e-12)
+    np.testing.assert_allclose(found.damping, [0.004, 0.002, np.nan], rtol=1e-12)
+    np.testing.assert_allclose(found.loss_factors, [0.008, 0.004, np.nan], rtol=1e-12)
+    assert found.frequency_sd is None
+    assert found.labels == ("", "", "")
+
+
+WRITTEN_IN_LABORATORIES: dict[str, str | bytes] = {
+    "long, English": "Mode,Natural frequency (Hz)\n1,101.5\n2,305.25\n3,333\n",
+    "long, German, decimal commas": "Modus;Frequenz [Hz]\n1;101,5\n2;305,25\n3;333,0\n",
+    "long, German, cp1252": "Nr;Eigenfrequenz in Hz;D\u00e4mpfung\n1;101,5;0,01\n2;305,25;\n3;333;\n".encode(
+        "cp1252"
+    ),
+    "long, French": "Ordre;Fr\u00e9quence propre (Hz)\n1;101,5\n2;305,25\n3;333\n",
+    "long, Spanish": "modo\tfrecuencia\n1\t101,5\n2\t305,25\n3\t333\n",
+    "long, Italian": "modo|frequenza [kHz]\n1|0.1015\n2|0.30525\n3|0.333\n",
+    "long, Russian": "\u0447\u0430\u0441\u0442\u043e\u0442\u0430\n101,5\n305,25\n333\n",
+    "long, Chinese": "\u9891\u7387\n101.5\n305.25\n333\n".encode("utf-16"),
+    "a head that is not known, in Hz": "Mode;Messwert [Hz]\n1;101,5\n2;305,25\n3;333\n",
+    "units after a slash": "Mode;Frequenz/Hz\n1;101,5\n2;305,25\n3;333\n",
+    "a line of units": "Mode;Frequenz\n;Hz\n1;101,5\n2;305,25\n3;333\n",
+    "a line of units in brackets": "Mode;f\n[-];[kHz]\n1;0,1015\n2;0,30525\n3;0,333\n",
+    "long, hits in any language": "Schlag;Mode;Frequenz\n" + "".join(
+        f"{i};{m};{f}\n" for i, hit in enumerate(TAPPED, 1) for m, f in enumerate(hit, 1)
+    ),
+    "wide, numbers as heads": wide(",", THREE, first="hit"),
+    "wide, no column of hits": wide(",", THREE),
+    "wide, mode 1": wide(";", ["Mode 1", "Mode 2", "Mode 3"], first="Schlag", mark=","),
+    "wide, Mode_1 [Hz]": wide("\t", ["Mode_1 [Hz]", "Mode_2 [Hz]", "Mode_3 [Hz]"], first="Messung"),
+    "wide, f1": wide(" ", ["f1", "f2", "f3"], first="tap"),
+    "wide, f1 (Hz)": wide(",", ["f1 (Hz)", "f2 (Hz)", "f3 (Hz)"], first="Run"),
+    "wide, f_1": wide(",", ["f_1", "f_2", "f_3"], first=""),
+    "wide, Frequenz 1": wide(";", ["Frequenz 1", "Frequenz 2", "Frequenz 3"], first="Versuch", mark=","),
+    "wide, Eigenform 1": wide(";", ["Eigenform 1", "Eigenform 2", "Eigenform 3"], first="Nr"),
+    "wide, coup": wide(";", ["ordre 1", "ordre 2", "ordre 3"], first="coup", mark=","),
+    "wide, a head that is not known for the hits": wide(";", THREE, first="wer"),
+    "wide, a line of units": wide(";", THREE, first="hit").replace("\n", "\n;Hz;Hz;Hz\n", 1),
+    "wide, mean and sd below": wide(
+        ";", THREE, first="hit", mark=",", more="Mittelwert;101,5;305,2;333\nStabw;0,1;0,1;0\n"
+    ),
+    "long, rates above": "Samples 2000 Hz\nMode;Messwert [Hz]\n1;101,5\n2;305,25\n3;333\n",
+    "wide, lines above": "Projekt;Platte 7\nDatum;3.4.\n\n" + wide(";", THREE, first="Schlag", mark=","),
+    "wide, a declared separator": "sep=;\n" + wide(";", THREE, first="hit", mark=","),
+    "wide, a hit that shows no mode": wide(";", THREE, first="hit", more="3;-;305,25;n/a\n", mark=","),
+    "wide, quoted": wide(",", ['"1"', '"2"', '"3"'], first='"hit"'),
+    "across, hit 1": across(",", ["Mode", "hit 1", "hit 2"]),
+    "across, Messung 1": across(";", ["Nr", "Messung 1 [Hz]", "Messung 2 [Hz]"]),
+    "xlsx, long": sheet(LONG),
+    "xlsx, wide": sheet(WIDE),
+    "xlsx, lines above": sheet([["Platte 7"], [], *WIDE]),
+    "xlsx, the second sheet": sheet(LONG, before=[["notes"], ["tapped on foam"]]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("content", WRITTEN_IN_LABORATORIES.values(), ids=WRITTEN_IN_LABORATORIES)
+def test_a_table_of_a_laboratory_gives_its_frequencies(measured, content: str | bytes) -> None:
+    np.testing.assert_allclose(measured(content).frequencies, MODES, rtol=1e-9)
+
+
+# The same three modes, further from how the documentation has them
+LAYOUTS: dict[str, str | bytes] = {
+    "German, spelt out":
+        "Modennummer;Eigenfrequenz [Hz];D\u00e4mpfung [%]\n1;101,5;0,4\n2;305,25;0,3\n3;333;0,2\n",
+    "French, spaces that do not break":
+        "Ordre;Fr\u00e9quence\u00a0propre\u00a0(Hz)\n1;101,5\n2;305,25\n3;333\n",
+    "Spanish":
+        "N\u00famero de modo;Frecuencia natural (Hz);Amortiguamiento (%)\n1;101,5;0,4\n2;305,25;0,3\n"
+        "3;333;0,2\n",
+    "Italian": "Modo\tFrequenza naturale [Hz]\tSmorzamento [%]\n1\t101,5\t0,4\n2\t305,25\t0,3\n3\t333\t0,2\n",
+    "Polish, cp1250": "Mod;Cz\u0119stotliwo\u015b\u0107 [Hz]\n1;101,5\n2;305,25\n3;333\n".encode("cp1250"),
+    "UTF-16 without a mark": "Modus;Frequenz [Hz]\n1;101,5\n2;305,25\n3;333\n".encode("utf-16-le"),
+    "a head of two words, and commas": "Mode,Measured frequency (Hz)\n1,101.5\n2,305.25\n3,333\n",
+    "columns apart by spaces, heads of several words": "Mode  Damping (%)  Natural frequency (Hz)\n"
+    "1     0.4          101.5\n2     0.3          305.25\n3     0.2          333\n",
+    "rates above":
+        "Sampling frequency\t25600\nResolution\t0.5 Hz\nMode\tFrequency [Hz]\n1\t101.5\n2\t305.25\n3\t333\n",
+    "a title with words of heads": "Natural frequencies in Hz\n\nMode;Frequenz\n1;101,5\n2;305,25\n3;333\n",
+    "units in the cells":
+        "Mode;Frequenz;D\u00e4mpfung\n1;101,5 Hz;0,4 %\n2;0,30525 kHz;0,3 %\n3;333 Hz;0,2 %\n",
+    "Markdown":
+        "| Mode | Frequency [Hz] |\n|------|----------------|\n| 1 | 101.5 |\n| 2 | 305.25 |\n| 3 | 333 |\n",
+    "dates, an index and blank columns": ";;Datum;Mode;Frequenz [Hz];;\n0;;03.04.2024;1;101,5;;\n;;;;;;\n"
+    "1;;03.04.2024;2;305,25;;\n2;;03.04.2024;3;333;;\n",
+    "a mean and a name below":
+        "Mode;Frequenz [Hz]\n1;101,5\n2;305,25\n3;333\nMittelwert;246,6\n\nGepr\u00fcft: A. Weber\n",
+    "means among hits":
+        "hit;mode;hz\n1;1;101,4\n2;1;101,6\nMean;1;101,5\n1;2;305,2\n2;2;305,3\nMean;2;305,3\n"
+    "1;3;333,1\n2;3;332,9\n",
+    "hits below merged cells":
+        "Mode;Hit;Frequenz\n1;1;101,4\n;2;101,6\n2;1;305,2\n;2;305,3\n3;1;333,1\n;2;332,9\n",
+    "a mode that is not seen, the last": "Mode;Frequenz [Hz]\n1;101,5\n2;305,25\n3;333\n4;n/a\n",
+    "a row a quantity": "Mode;1;2;3\nFrequenz [Hz];101,5;305,25;333\nD\u00e4mpfung [%];0,4;0,3;0,2\n",
+    "a row a quantity, in kHz": "Mode;1;2;3\nFrequenz [kHz];0,1015;0,30525;0,333\n",
+    "a row a quantity, units beside":
+        "Mode;Einheit;1;2;3\nFrequenz;kHz;0,1015;0,30525;0,333\nAmplitude;g;105;301;330\n",
+    "hits in kHz by their rows":
+        "Mode;1;2;3\nHit 1 [kHz];0,1014;0,3052;0,3331\nHit 2 [kHz];0,1016;0,3053;0,3329\n",
+    "columns of hits with numbers alone": "Mode;1;2\n1;101,4;101,6\n2;305,2;305,3\n3;333,1;332,9\n",
+    "columns of hits headed f1": "Nr;f1;f2\n1;101,4;101,6\n2;305,2;305,3\n3;333,1;332,9\n",
+    "two lines of heads": "Mode;Frequency [Hz];\n;hit 1;hit 2\n1;101,4;101,6\n2;305,2;305,3\n3;333,1;332,9\n",
+    "a line of units with its name":
+        "hit;1;2;3\nEinheit;kHz;kHz;kHz\n1;0,1014;0,3052;0,3331\n2;0,1016;0,3053;0,3329\n",
+    "modes from 7 on": "hit;Mode 7;Mode 8;Mode 9\n1;101,4;305,2;333,1\n2;101,6;305,3;332,9\n",
+    "1. Mode": "Schlag;1. Mode;2. Mode;3. Mode\n1;101,4;305,2;333,1\n2;101,6;305,3;332,9\n",
+    "MW, CV and \u00d8 below":
+        "hit;1;2;3\n1;101,4;305,2;333,1\n2;101,6;305,3;332,9\nMW;101,5;305,3;333\nCV %;0,1;0,1;0,1\n"
+    "\u00d8;101,5;305,3;333\n",
+    "xlsx, numbers as texts below a merged title": sheet(
+        [["Platte 7", None], ["Mode", "Frequenz [Hz]"], ["1", "101,5"], ["2", "305,25"], ["3", "333"]]
+    ),
+    "xlsx, to the right, with dates": sheet(
+        [[], [None, None, "Date", "Mode", "f\n[Hz]"]]
+        + [[None, None, datetime.date(2024, 4, 3), i, f] for i, f in enumerate(MODES, 1)]
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("content", LAYOUTS.values(), ids=LAYOUTS)
+def test_another_layout_gives_the_same_frequencies(measured, content: str | bytes) -> None:
+    np.testing.assert_allclose(measured(content).frequencies, MODES, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "thousands",
+    [" ", "\u00a0", "\u202f", "'", "\u2019", "."],
+    ids=[" ", "nbsp", "narrow", "'", "\u2019", "."],
+)
+def test_marks_between_thousands_are_read_where_they_can_be_nothing_else(measured, thousands: str) -> None:
+    found = measured(f"Mode;Frequenz [Hz]\n1;901,5\n2;1{thousands}234,5\n3;2{thousands}345,6\n")
+    assert found.frequencies.tolist() == [901.5, 1234.5, 2345.6]
+    assert measured('Mode,f\n1,901.5\n2,"1,234.5"\n').frequencies.tolist() == [901.5, 1234.5]
+
+
+# Tables that mean two things, or none: what must be said
+AMBIGUOUS: dict[str, tuple[str | bytes, str]] = {
+    "thousands or decimals": ("Mode;f\n1;901\n2;1.234\n3;2.345\n", "received 901, 1.234, 2.345"),
+    "thousands or decimals, one column": ("f [Hz]\n901\n1,234\n2,345\n", "no mark between thousands"),
+    "all above a thousand": ("Mode;f [Hz]\n1;1.234\n2;2.345\n3;3.456\n", "no mark between thousands"),
+    "kHz without saying so": ("Mode;f\n1;0,1015\n2;0,30525\n3;0,333\n", "a unit in the head, Hz or kHz"),
+    "kHz above the heads of hits": (
+        "Mode;Frequency [kHz];\n;hit 1;hit 2\n1;0,1014;0,1016\n2;0,3052;0,3053\n",
+        "a unit in the head",
+    ),
+    "decimal commas between commas": (
+        "Mode,f [Hz],Damping [%]\n1,101,5\n2,305,2\n3,333,0\n",
+        "101,5, two cells",
+    ),
+    "decimal commas, and comments": (
+        "Mode,f [Hz],Note\n1,101,5,\n2,305,2,\n3,333,0,\n",
+        "are these decimal commas?",
+    ),
+    "decimal commas in a wide table": (
+        "hit,1,2,3,4\n1,101,5,305,2\n",
+        "are these decimal commas",
+    ),
+    "a separator of the heads and one of the rows": ("Mode,f\n1;101,5\n2;305,25\n", 'received "1;101"'),
+    "a width in Hz, and peaks": ("Mode;Peak;Bandwidth (Hz)\n1;101,5;1,1\n2;305,25;3,1\n", "or Peak?"),
+    "a scatter in Hz, and means": ("Mode;Mittelwert;Std [Hz]\n1;101,5;0,5\n2;305,25;0,5\n", "or Mittelwert?"),
+    "test and model": ("Mode;FEM [Hz];Test [Hz]\n1;103;101,5\n2;309;305,25\n", "[measurement.columns]"),
+    "several plates": (
+        "Plate;Mode;f [Hz]\nA;1;101,4\nA;2;305,2\nB;1;103,6\nB;2;308\n",
+        "several plates, received A, B",
+    ),
+    "several plates, wide": ("Platte;1;2\nA;101,4;305,2\nB;103,6;308\n", "a table for each"),
+    "hits below no mode": ("Mode;f\n1;101,4\n;101,6\n2;305,2\n;305,3\n", "line 3, column mode: missing"),
+    "a row that is no hit": (
+        "hit;1;2\n1;101,4;305,2\n2;101,6;305,3\nSchnitt;101,5;305,3\n",
+        "received Schnitt",
+    ),
+    "a spectrum": (
+        "Frequency [Hz],Amplitude\n" + "".join(f"{0.5 * i},{i}\n" for i in range(1, 60)),
+        "the lines of a spectrum",
+    ),
+    "two tables beside each other": (
+        "Mode;f;;Mode;f\n1;101,5;;1;103,6\n2;305;;2;309\n",
+        "a second column mode",
+    ),
+    "two lines of heads of other things": (
+        "Mode;f [Hz];\n;FEM;Test\n1;103;101,5\n2;309;305,25\n",
+        "3 cells for 2",
+    ),
+    "heads in the wrong order": ("f [Hz];Mode\n1;101,5\n2;305,25\n", "the numbers of modes, received 1, 2"),
+    "no heads": ("1;101,5\n2;305,25\n3;333\n", "a line of heads above the numbers"),
+    "no heads, whole numbers": ("1;101\n2;305\n3;333\n", "a line of heads above the numbers"),
+    "words of heads apart by one space": (
+        "Mode Natural frequency (Hz) Loss\n1 101.5 0.4\n2 305 0.3\n",
+        "no column",
+    ),
+    "rigid-body motions": (
+        "Mode,f [Hz]\n1,0.0\n2,0\n3,101.5\n",
+        "received 0.0, accepted: a frequency above 0; so is 1",
+    ),
+    "more or less": (
+        "Mode;f [Hz]\n1;101,5 \u00b1 0,1\n2;305,25 \u00b1 0,2\n",
+        '\u00b1 0,1", accepted: a frequency',
+    ),
+    "a mode that is not seen": (
+        "Mode;f [Hz]\n1;101,5\n2;n/a\n3;305,25\n",
+        "mode 2 is left out, accepted: complete",
+    ),
+    "xlsx, a date that a sheet made of a number": (
+        sheet([["Mode", "f [Hz]"], [1, datetime.datetime(2024, 5, 1)], [2, 305.25]]),
+        'received "2024-05-01',
+    ),
+    "xlsx, a first table that is wrong": (
+        sheet(
+            [["Mode", "f [Hz]"], [1, 111.5], [2, 315.0]],
+            before=[["Mode", "f [Hz]"], [1, "see below"], [2, 305]],
+        ),
+        'received "see below"',
+    ),
+}
+
+
+@pytest.mark.parametrize(("content", "said"), AMBIGUOUS.values(), ids=AMBIGUOUS)
+def test_what_may_be_read_wrongly_is_one_message(refused, content: str | bytes, said: str) -> None:
+    (problem,) = refused(content)
+    assert said in problem
+    assert "accepted" in problem
+    assert len(problem) < 400
+
+
+def test_tables_in_further_sheets_are_told_of(measured) -> None:
+    found = measured(sheet([["Mode", "f [Hz]"], [1, 103.6], [2, 309.0]], before=LONG))
+    assert found.frequencies.tolist() == MODES
+    assert found.remarks == ("modes.csv: tables of modes stand in data too, which are not read",)
+
+
+def test_plates_of_a_table_may_be_hits_of_one(measured) -> None:
+    rows = "Sample;1;2\na;101,4;305,2\nb;101,6;305,3\n"
+    found = measured(rows, '[measurement.columns]\nhit = "Sample"\n')
+    np.testing.assert_allclose(found.frequencies, MODES[:2], rtol=1e-9)
+
+
+def test_per_cent_of_a_sheet_are_what_it_shows(measured) -> None:
+    book = openpyxl.Workbook()
+    for row in (["Mode", "f [Hz]", "D\u00e4mpfung [%]"], [1, 101.5, 0.004], [2, 305.25, 0.003]):
+        book.active.append(row)
+    for cell in book.active["C"]:
+        cell.number_format = "0.00%"
+    held = io.BytesIO()
+    book.save(held)
+    assert measured(held.getvalue()).damping == pytest.approx([0.004, 0.003], rel=1e-12)

@@ -1,0 +1,327 @@
+"""What a new user writes, gives and types is understood, or refused with one message that has the cure."""
+
+from __future__ import annotations
+
+import io
+import re
+from pathlib import Path
+
+import numpy as np
+import openpyxl
+import pytest
+
+from cpam_bayes.plate import Specimen
+from cpam_bayes.plate.reader import read_plate
+from tests.plate_file import Run, described, refused
+
+GOOD = """\
+name = "panel"
+[plate]
+length_mm = 310.0
+width_mm = 228.0
+thickness_mm = 3.1
+mass_g = 340.7
+layup = "[0/90]_2s"
+edges = "FFFF"
+[plate.sd]
+thickness_mm = 0.02
+[material]
+E1_GPa = 132.0
+E2_GPa = 9.1
+nu12 = 0.31
+G12_GPa = 4.8
+[unknowns]
+E1_GPa = [60.0, 250.0]
+E2_GPa = [4.0, 16.0]
+[environment]
+air_density_kg_m3 = 1.2
+[[sensor]]
+mass_g = 0.6
+x_mm = 300.0
+y_mm = 220.0
+[measurement]
+frequencies_hz = [80.2, 146.3, 218.6, 275.1]
+relative_std = 0.002
+"""
+LIST = "[80.2, 146.3, 218.6, 275.1]"
+
+# (what stands in the good file, what a user writes): the same plate
+UNDERSTOOD = [
+    ('layup = "[0/90]_2s"', 'layup = "[0,90]_2s"'),
+    ('layup = "[0/90]_2s"', 'layup = "[0 90 0 90 90 0 90 0]"'),
+    ('layup = "[0/90]_2s"', 'layup = "[0\u00b0/90\u00b0]_2s"'),
+    ('layup = "[0/90]_2s"', 'layup = "[0\u00b0, 90\u00b0]_{2s}"'),
+    ('layup = "[0/90]_2s"', 'layup = "[(0;90)_2]S"'),
+    ('layup = "[0/90]_2s"', "layup = [0, 90, 0, 90, 90, 0, 90, 0]"),
+    ('edges = "FFFF"', 'edges = "free"'),
+    ('edges = "FFFF"', 'edges = "all free"'),
+    ('edges = "FFFF"', 'edges = "Frei"'),
+    ('edges = "FFFF"', 'edges = "ffff"'),
+    ('edges = "FFFF"', 'edges = "F F F F"'),
+    ('edges = "FFFF"', 'edges = "F-F-F-F"'),
+    ('edges = "FFFF"', 'edges = ["F", "F", "F", "F"]'),
+    ('edges = "FFFF"', 'edges = ["free", "free", "free", "free"]'),
+    ("length_mm = 310.0", 'length_mm = "310"'),
+    ("length_mm = 310.0", 'length_mm = "310,0"'),
+    ("length_mm = 310.0", 'length_mm = "310 mm"'),
+    ("length_mm = 310.0", 'length_mm = "31 cm"'),
+    ("length_mm = 310.0", 'length_mm = "0,31 m"'),
+    ("mass_g = 340.7", 'mass_g = "340,7"'),
+    ("mass_g = 340.7", 'mass_g = "340.7 g"'),
+    ("mass_g = 340.7", 'mass_g = "0,3407 kg"'),
+    ("E1_GPa = 132.0", 'E1_GPa = "132000 MPa"'),
+    ("E1_GPa = [60.0, 250.0]", 'E1_GPa = ["60 GPa", "250 GPa"]'),
+    ("frequencies_hz = [80.2, 146.3, 218.6, 275.1]", 'frequencies_hz = "80,2 146,3 218,6 275,1"'),
+    ("frequencies_hz = [80.2, 146.3, 218.6, 275.1]", 'frequencies_hz = "80.2; 146.3; 218.6; 275.1"'),
+    ("frequencies_hz = [80.2,", 'frequencies_hz = ["80,2",'),
+    ("frequencies_hz = [80.2,", 'frequencies_hz = ["0.0802 kHz",'),
+    ("relative_std = 0.002", 'relative_std = "0.2 %"'),
+    ("air_density_kg_m3 = 1.2", 'air_density_kg_m3 = "1,2 kg/m\u00b3"'),
+    ('layup = "[0/90]_2s"', 'layup = " [0/90]_2S "'),
+    ('layup = "[0/90]_2s"', 'layup = "[0, 90]2s"'),
+    ('edges = "FFFF"', 'edges = "FFFF "'),
+    ('edges = "FFFF"', 'edges = "all edges free"'),
+    ("mass_g = 340.7", "mass_g = '340.7g'"),
+    ("thickness_mm = 3.1", 'thickness_mm = "0,31 cm"'),
+    (f"frequencies_hz = {LIST}", 'frequencies_hz = "80.2, 146.3, 218.6, 275.1"'),
+    (f"frequencies_hz = {LIST}", "frequencies_hz = [\n80.2,\n146.3,\n218.6,\n275.1,\n]"),
+]
+
+# the same, and what the one message must hold
+REFUSED = [
+    ("[80.2, 146.3, 218.6, 275.1]", "[80,2, 146,3, 218,6, 275,1]", "decimal commas? 80,2 is two numbers"),
+    ("[80.2, 146.3, 218.6, 275.1]", "[80,2, 146,3, 218, 275,1]", "decimal commas?"),
+    ("[80.2, 146.3, 218.6, 275.1]", "[275.1, 218.6, 146.3, 80.2]", "the other way round"),
+    ("[80.2, 146.3, 218.6, 275.1]", "[80.2, 218.6, 146.3, 275.1]", "146.3 after 218.6, accepted"),
+    ("[80.2, 146.3, 218.6, 275.1]", "[80.2, 1463, 218.6, 275.1]", "1463 lost its decimal comma? 146.3 would"),
+    ("[80.2, 146.3, 218.6, 275.1]", "[80.2 146.3 218.6]", "not valid TOML"),
+    ("[80.2, 146.3, 218.6, 275.1]", "80.2", "a list of 1 to 100 frequencies"),
+    ("length_mm = 310.0", "length_mm = 281,5", "a decimal point, not a comma"),
+    ("length_mm = 310.0", "length_mm = 310 mm", "the unit is in the key"),
+    ("length_mm = 310.0", 'length_mm = "1,310"', "no mark between thousands"),
+    ("length_mm = 310.0", 'length_mm = "310 lb"', "a number above 0, in mm"),
+    ("length_mm = 310.0", "length_mm: 310.0", "= stands between a key and its value"),
+    ("length_mm = 310.0", "length = 310.0", "the nearest known key is length_mm"),
+    ("thickness_mm = 3.1", "thickness_mm = 0.0031", "are the sizes in mm?"),
+    ("[plate]", "[Plate]", "Plate: unknown key, the nearest known key is plate"),
+    ("[unknowns]", "[unkowns]", "the nearest known key is unknowns"),
+    ("[plate.sd]", "[plate.std]", "plate.std: unknown key, the nearest known key is sd"),
+    ("mass_g = 340.7", "mass_g = 0.3407", "is the mass in kg?"),
+    ("mass_g = 340.7", "mass_kg = 0.3407", "the nearest known key is mass_g"),
+    ("mass_g = 340.7", "density_kg_m3 = 1.55", "1.55 g/cm3 are 1550 kg/m3"),
+    ("mass_g = 340.7", 'mass_g = "about 340"', "a number above 0, in g"),
+    ("E1_GPa = 132.0", "E1_GPa = 132000", "132000 MPa are 132 GPa"),
+    ("E1_GPa = 132.0", "E1_GPa = 1.32e11", "stiffer than any material"),
+    ("E1_GPa = 132.0", "E1_GPA = 132.0", "the nearest known key is E1_GPa"),
+    ("E1_GPa = [60.0, 250.0]", "E1_GPa = 132", "[lower, upper]"),
+    ("E1_GPa = [60.0, 250.0]", "E1_GPa = [60e3, 250e3]", "60000 MPa are 60 GPa"),
+
+    ("nu12 = 0.31", "nu12 = 31", "eq. (9)"),
+    ('layup = "[0/90]_2s"', 'layup = "0/90/90/0"', 'a layup begins with "["'),
+    ('layup = "[0/90]_2s"', 'layup = "[0/90]_2s;"', "nothing may follow"),
+    ('layup = "[0/90]_2s"', 'layup = "[22,5/-22,5]_s"', "22.5 has a point"),
+    ('layup = "[0/90]_2s"', 'layup = "[0/90"', "never closed"),
+    ('layup = "[0/90]_2s"', 'layup = "quasi-isotropic"', 'a layup begins with "["'),
+    ('layup = "[0/90]_2s"', "layup = [0/90]_2s", "not valid TOML"),
+    ('layup = "[0/90]_2s"', "layup = \u201c[0/90]_2s\u201d", 'quotes are "'),
+    ('edges = "FFFF"', "edges = FFFF", "texts stand in quotes"),
+    ('edges = "FFFF"', 'edges = "cantilever"', "for x=0, y=0, x=length, y=width"),
+    ('edges = "FFFF"', 'edges = "hanging on strings"', "four letters of F S C"),
+    ("relative_std = 0.002", 'table = "C:\\Users\\me\\modes.csv"', "write / for \\ in a path"),
+    ("frequencies_hz = [80.2, 146.3, 218.6, 275.1]", 'table = "data\\test.csv"', "write / for \\"),
+    ("frequencies_hz = [80.2, 146.3, 218.6, 275.1]", "table = 'data\\modes.csv'", "no such file"),
+    ("frequencies_hz = [80.2, 146.3, 218.6, 275.1]", "frequencies = [80.2]", "key is frequencies_hz"),
+    ("[environment]\nair_density_kg_m3 = 1.2", "[environment]\nair = true", "unknown key, accepted: air"),
+    ("[measurement]\n", "[measurement]\nfrequencies_hz = [80.2]\n", "not valid TOML"),
+    # tables and keys
+    ("[plate]", "[palte]", "palte: unknown key, the nearest known key is plate"),
+    ("[plate]\n", "[PLATE]\n", "PLATE: unknown key, the nearest known key is plate"),
+    ("[material]", "[properties]", "properties: unknown key, the nearest known key is material"),
+    ("[[sensor]]", "[[sensors]]", "the nearest known key is sensor"),
+    ("[[sensor]]", "[sensor]", "accepted: at most 100 tables [[sensor]]"),
+    ("[plate]\n", "plate:\n", "a table is headed [plate]"),
+    ("[plate]\n", "[plate\n", "a table is headed [plate]"),
+    ("length_mm = 310.0", "length_m = 0.310", "length_m: unknown key, the nearest known key is length_mm"),
+    ("length_mm = 310.0\n", "", "plate.length_mm: missing, accepted: a number above 0, in mm"),
+    ('edges = "FFFF"\n', "", "plate.edges: missing, accepted: four letters of F S C"),
+    ("length_mm = 310.0", "length mm = 310.0", "a key has no spaces"),
+    ("length_mm = 310.0", "length_mm 310.0", "= stands after it"),
+    ("length_mm = 310.0", "length_mm =", "the value is missing"),
+    ("length_mm = 310.0", "length_mm = 310.0\nlength_mm = 310.0", "a key and a table stand once"),
+    ("[material]", "[plate]\n[material]", "a key and a table stand once"),
+    ("mass_g = 340.7", "rho = 1550", "rho: unknown key, accepted: length_mm"),
+    ("frequencies_hz", "frequency_hz", "frequency_hz: unknown key, the nearest known key is frequencies_hz"),
+    ("E1_GPa = [60.0, 250.0]", "E_GPa = [60.0, 250.0]", "unknown key, the nearest known key is E"),
+    ("E1_GPa = [60.0, 250.0]", "thickness_mm = [2.0, 4.0]", "accepted: E1_GPa E2_GPa nu12"),
+    # texts
+    ('name = "panel"', "name = \u00abpanel\u00bb", 'quotes are "'),
+    ('name = "panel"', "name = \u2018panel\u2019", 'quotes are "'),
+    ('name = "panel"', 'name = "panel', "a quote is missing"),
+    ('layup = "[0/90]_2s"', 'layup = [0/90]_2s"', "a quote is missing"),
+    ('layup = "[0/90]_2s"', 'layup = "(0/90)_2s"', 'a layup begins with "["'),
+    ('layup = "[0/90]_2s"', 'layup = "[0/100]"', "angle 100, accepted: -90 to 90"),
+    ('edges = "FFFF"', 'edges = "CFFFF"', 'received "CFFFF", accepted: four letters of F S C'),
+    ('edges = "FFFF"', 'edges = "h\u00e4ngend"', 'received "h\u00e4ngend", accepted: four letters'),
+    # numbers
+    ("thickness_mm = 3.1", "thickness_mm = -3.1", "received -3.1, accepted: a number above 0, in mm"),
+    ("thickness_mm = 3.1", "thickness_mm = .31", "a digit on each side of a point"),
+    ("thickness_mm = 3.1", "thickness_mm = 3.1 // gauged", "# begins a comment"),
+    ("nu12 = 0.31", "nu12 = 3", "nu12: impossible constants"),
+    ("mass_g = 340.7", "density_kg_m3 = 1.6", "1.6 g/cm3 are 1600 kg/m3"),
+    ("mass_g = 340.7", "density_g_cm3 = 1.6", "the nearest known key is density_kg_m3"),
+    (
+        "E1_GPa = 132.0\nE2_GPa = 9.1\nnu12 = 0.31\nG12_GPa = 4.8",
+        "E1_GPa = 132e9\nE2_GPa = 9.1e9\nnu12 = 0.31\nG12_GPa = 4.8e9",
+        "1.32e+11 Pa are 132 GPa",
+    ),
+    (
+        "length_mm = 310.0\nwidth_mm = 228.0\nthickness_mm = 3.1",
+        "length_mm = 0.31\nwidth_mm = 0.228\nthickness_mm = 0.0031",
+        "are the sizes in mm?",
+    ),
+    ("[60.0, 250.0]", "[250.0, 60.0]", "unknowns.E1_GPa: bounds, received [250.0, 60.0]"),
+    ("[60.0, 250.0]", '"60-250"', "accepted: [lower, upper]"),
+    ("[60.0, 250.0]", "[60,0, 250,0]", "are these decimal commas?"),
+    ("x_mm = 300.0", "x_mm = 330.0", "outside the plate, received 330, accepted: 0 to 310"),
+    ("x_mm = 300.0\ny_mm = 220.0", "x_mm = 3000\ny_mm = 2200", "outside the plate, received 3000"),
+    ("relative_std = 0.002", "relative_std = 2", "0.2 % is 0.002"),
+    # the list
+    (LIST, "[80,85, 146,350, 218,6]", "are these decimal commas?"),
+    (LIST, "[80,0, 146,0, 218,0]", "are these decimal commas?"),
+    (LIST, "[80.2; 146.3; 218.6]", "commas part the numbers of a list"),
+    (LIST, "(80.2, 146.3)", "a list stands in [ ]"),
+    (LIST, "80.2, 146.3, 218.6", "a list stands in [ ]"),
+    (LIST, "[80.2, 146.3", "is a ] missing"),
+    (LIST, "[0, 0, 0, 0, 0, 0, 80.2, 146.3]", "no rigid-body motion; so are 5 more items"),
+    (LIST, "[80.2, -146.3, 218.6]", "item 2: out of range, received -146.3, accepted: a number above 0"),
+    (LIST, "[80.2, nan, 218.6]", "item 2: not a finite number"),
+    (LIST, '[80.2, "n/a", "-", 218.6]', 'item 2: wrong type, received "n/a"'),
+    (LIST, "[]", "received [], accepted: a list of 1 to 100 frequencies"),
+    (LIST, "[80.2, 80.2, 80.2, 80.2]", "one frequency a mode"),
+    (f"frequencies_hz = {LIST}", 'table = "plate.csv"', 'the nearest there is "plate7.csv"'),
+]  # fmt: skip
+
+# name, content and what the one message must hold
+FILES = [
+    ("list.csv", b"mode,hz\n1,80.2\n2,146.3\n", 'a list of frequencies is its table = "FILE"'),
+    ("list.xlsx", b"workbook", "no plate file, received .xlsx, accepted: a TOML text"),
+    ("report.pdf", b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n", "no plate file, received .pdf"),
+    ("plate.json", b'{"plate": {"length_mm": 310}}', "no plate file, received .json"),
+    ("plate.toml", b"", "nothing is in it, accepted: a TOML text, as `cpam-bayes new FILE` writes"),
+    ("plate.toml", b"# to be done\n", "nothing is in it"),
+    ("plate.toml", b"\x00\x01\x02\x00\x00", "a binary file, accepted: a TOML text"),
+    ("plate.toml", GOOD.replace("panel", "Pr\u00fcfling").encode("cp1252"), ":1: file: not UTF-8 text"),
+]
+
+# what is typed, and what the one message must hold
+TYPED = [
+    (["forward", "panle.toml"], "panle.toml: no such file, the nearest there is panel.toml"),
+    (["forward", "panel"], "no such file, the nearest there is panel.toml"),
+    (["forward", "none.toml"], "neither a file nor a built-in specimen"),
+    (["forward", "c1"], "the nearest built-in: C1"),
+    (["forward", "."], ".: a directory, accepted: a plate file"),
+    (["identfy", "panel.toml"], "invalid choice: 'identfy'"),
+    (["panel.toml"], "invalid choice: 'panel.toml'"),
+    (["identify", "panel.toml", "--sed", "3"], "unrecognized arguments: --sed 3"),
+    (["identify", "panel.toml", "--seed", "x"], "--seed: received 'x', accepted: a whole number"),
+    (["identify", "panel.toml", "--seed"], "--seed: expected one argument"),
+    (["forward", "panel.toml", "--out", "panel.toml"], "a file, accepted: a directory"),
+    (["forward", "panel.toml", "--xlsx", "modes.csv"], "accepted: a file that ends in .xlsx"),
+    (["compare", "panel.toml"], "the following arguments are required: B"),
+    (["batch", "panel.toml", "--limit", "E = 65"], "limit: received 'E = 65'"),
+    (["predict", "panel.toml", "A1"], "accepted: the posterior first, then the plate"),
+    (["new", "panel.toml"], "panel.toml: exists; give another name"),
+]
+
+
+def read(tmp_path, text: str) -> Specimen:
+    path = tmp_path / "panel.toml"
+    path.write_text(text, encoding="utf-8")
+    return read_plate(path)
+
+
+@pytest.mark.parametrize(("good", "written"), UNDERSTOOD, ids=[written for _, written in UNDERSTOOD])
+def test_what_can_mean_one_thing_is_understood(tmp_path, good: str, written: str) -> None:
+    assert GOOD.count(good) == 1
+    meant, found = read(tmp_path, GOOD), read(tmp_path, GOOD.replace(good, written))
+    assert found.plate.edges == meant.plate.edges
+    assert found.plate.layup.angles_deg.tolist() == meant.plate.layup.angles_deg.tolist()
+    sizes = [(p.plate.length, p.plate.width, p.plate.thickness, p.plate.mass) for p in (found, meant)]
+    np.testing.assert_allclose(*sizes, rtol=1e-12)
+    np.testing.assert_allclose(found.measurement.frequencies, meant.measurement.frequencies, rtol=1e-12)
+    assert found.material.constants == meant.material.constants
+    assert (found.air_density, found.measurement.relative_std) == (1.2, 0.002)
+    assert found.unknowns["E1"].prior == meant.unknowns["E1"].prior
+
+
+@pytest.mark.parametrize(("good", "written", "said"), REFUSED, ids=[written for _, written, _ in REFUSED])
+def test_a_slip_is_one_message_with_its_cure(run: Run, tmp_path, good: str, written: str, said: str) -> None:
+    assert good in GOOD
+    path = tmp_path / "panel.toml"
+    path.write_text(GOOD.replace(good, written, 1), encoding="utf-8")
+    (tmp_path / "plate7.csv").touch()
+    answer = run("forward", path)
+    refused(answer, said)
+    assert re.match(rf"error: {re.escape(str(path))}:\d+: ", answer[2])
+    assert len(answer[2]) < 600 + len(str(path))
+
+
+@pytest.mark.parametrize(("name", "content", "said"), FILES)
+def test_what_is_no_plate_file_is_one_message(
+    run: Run, tmp_path, name: str, content: bytes, said: str
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(workbook() if content == b"workbook" else content)
+    refused(run("forward", path), str(path), said)
+
+
+def workbook() -> bytes:
+    book = openpyxl.Workbook()
+    book.active.append(["mode", "hz"])
+    held = io.BytesIO()
+    book.save(held)
+    return held.getvalue()
+
+
+@pytest.mark.parametrize(("argv", "said"), TYPED, ids=[" ".join(argv) for argv, _ in TYPED])
+def test_what_is_mistyped_is_one_message(
+    run: Run, tmp_path, monkeypatch: pytest.MonkeyPatch, argv: list[str], said: str
+) -> None:
+    Path(tmp_path, "panel.toml").write_text(GOOD, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    refused(run(*argv), said)
+    assert Path("panel.toml").read_text(encoding="utf-8") == GOOD
+
+
+def test_a_single_frequency_is_answered(run: Run, tmp_path) -> None:
+    path = tmp_path / "panel.toml"
+    path.write_text(GOOD.replace(LIST, "[80.2]"), encoding="utf-8")
+    status, out, err = run("forward", path, "--quiet")
+    assert (status, err) == (0, "")
+    assert "1 natural frequency" in out
+
+
+def test_a_repeatability_in_per_cent_is_warned_of(tmp_path) -> None:
+    (said,) = read(tmp_path, GOOD.replace("relative_std = 0.002", "relative_std = 0.2")).measurement.remarks
+    assert "20 % of a frequency" in said
+    assert "0.2 % is 0.002" in said
+
+
+@pytest.mark.parametrize(
+    "encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "no mark", "no newline"]
+)
+def test_a_file_is_read_however_an_editor_saves_it(tmp_path, encoding: str) -> None:
+    path = tmp_path / "panel.toml"
+    mark = "\ufeff" if encoding in ("utf-16-le", "utf-16-be") else ""
+    text = mark + GOOD.replace('"panel"', '"Pr\u00fcfplatte"')
+    text = text.replace("\n", "\r") if encoding == "no newline" else text
+    path.write_bytes(text.encode({"no mark": "utf-16-le", "no newline": "utf-8"}.get(encoding, encoding)))
+    assert read_plate(path).name == "Pr\u00fcfplatte"
+
+
+def test_a_mapping_is_understood_as_a_file_is() -> None:
+    plate = described(
+        (200, 100, 3), 2700, {"isotropic": True, "E1_GPa": "69,0", "nu12": 0.33}, edges="clamped"
+    )
+    found = read_plate(plate)
+    assert (found.plate.edges, found.material.constants["E1"]) == ("CCCC", 69e9)
