@@ -1,4 +1,4 @@
-"""Pictures of the report of C1 for the tutorial, as a screen and as a phone show it, and of the page.
+"""Pictures of the report of C1 for the tutorial, and of the page.
 
     python docs/build/screenshots.py [PAGE]
     python docs/build/screenshots.py --app RECORDING
@@ -25,7 +25,7 @@ import cpam_bayes as cb
 PROJECT: Final = Path(__file__).parents[2]
 PICTURES: Final = PROJECT / "docs" / "pictures"
 # Name of the picture -> width and height of the window, CSS pixels.
-WINDOWS: Final = {"report_C1_wide": (1100, 1500), "report_C1_phone": (390, 1500)}
+WINDOWS: Final = {"report_C1_wide": (1100, 1500)}
 # Colours of a palette that is enough for text, marks and thin lines.
 _COLOURS: Final = 128
 
