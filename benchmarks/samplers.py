@@ -83,7 +83,7 @@ def run(quick: bool = False, rounds: int | None = None) -> Results:
     mesh = QUICK_MESH if quick else MESH
     walkers, many = (12, _QUICK_MANY) if quick else (DEFAULT_SETTINGS.walkers, _MANY)
     load = [busy_processes()]
-    posterior = cb.posterior(PLATE)
+    posterior = cb.posterior(cb.read_plate(PLATE).with_exact_sizes())
     settings = replace(DEFAULT_SETTINGS, walkers=walkers, most_steps=400 if quick else 2000)
     found = sample_posterior(posterior, 0, settings=settings)
     draws = found.draws

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 from cpam_bayes.render.report import Heading, Table
-from studies.validation.reporting import listed, markdown_table, paragraph
+from studies.validation.reporting import markdown_table, paragraph
 
 Results = dict[str, Any]
 Cells = tuple[str, ...]
@@ -27,13 +26,13 @@ def tables(results: Results) -> tuple[Table, ...]:
 
 
 def sections(results: Results) -> dict[str, str]:
-    """The tables of docs/speed.md, each with what was compared."""
-    waits = markdown_table(_WAITS, _wait_rows(results))
-    solver = markdown_table(_SOLVER, _solver_rows(results)) if results["solver"] else "Not measured yet."
-    return {
-        "waits": f"{_compared(results['waits'])}\n\n{waits}",
-        "solver": f"{_compared(results['solver'])}\n\n{solver}".strip(),
-    }
+    """The tables of docs/speed.md, of the later version alone."""
+    places = [_WAITS.index(heading) for heading in ("", "now, s", "now, GiB")]
+    rows = [tuple(row[i] for i in places) for row in _wait_rows(results)]
+    waits = markdown_table(("", "s", "GiB"), rows)
+    solved = [(case, now, unit, against) for case, _, now, _, unit, against in _solver_rows(results)]
+    solver = markdown_table(("", "found", "", "against"), solved) if solved else "Not measured yet."
+    return {"waits": f"{_loads(results['waits'])}\n\n{waits}".strip(), "solver": solver}
 
 
 def _wait_rows(results: Results) -> list[Cells]:
@@ -67,25 +66,12 @@ def _solver_rows(results: Results) -> list[Cells]:
     ]
 
 
-def _compared(rows: list[Results]) -> str:
-    """Which versions, and how busy the machine was."""
-    if not rows:
-        return ""
-    commits = {side: _commits(row[side] for row in rows) for side in ("before", "after")}
-    text = f"Now: {listed(commits['after'])}."
-    if commits["before"]:
-        text = f"Before: {listed(commits['before'])}. {text}"
+def _loads(rows: list[Results]) -> str:
+    """How busy the machine was."""
     loads = [row["load"] for row in rows if row.get("load") is not None]
-    if loads:
-        text += (
-            f" Processes that wanted a core after a case, a mean over one minute: {min(loads):.1f} to "
-            f"{max(loads):.1f}."
-        )
-    return paragraph(text)
-
-
-def _commits(measured: Iterable[Results | None]) -> list[str]:
-    return list(dict.fromkeys(m["commit"] for m in measured if m is not None and m["commit"]))
+    if not loads:
+        return ""
+    return paragraph(f"Processes that wanted a core after a case: {min(loads):.1f} to {max(loads):.1f}.")
 
 
 def _seconds(measured: Results | None) -> str:
