@@ -205,7 +205,7 @@ class Effect:
     form_error: float = 0.0
     repeats: Effect | None = None
     edges: Callable[[PlateFacts], Sequence[int]] | None = None
-    drawn: Literal["", "corners", "plies"] = ""
+    drawn: Literal["", "corner", "corners", "plies"] = ""
 
     @property
     def parameter_set(self) -> ParameterSet:

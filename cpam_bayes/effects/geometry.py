@@ -1,4 +1,4 @@
-"""Plates of other sizes, thickness or density than stated, and of other shape: taper, skew, warp."""
+"""Plates of other sizes, thickness or density than stated, and of other shape: taper, skew, warp, a missing corner."""
 
 from __future__ import annotations
 
@@ -16,13 +16,15 @@ from cpam_bayes.effects.effect import (
     MILLIMETRE,
     PERCENT,
     Effect,
+    Place,
     PlateFacts,
     either_sign,
     misstated,
     per_thickness,
+    symmetries,
     with_state,
 )
-from cpam_bayes.mechanics.affine import LINE, ONE, Polynomial, Product, power
+from cpam_bayes.mechanics.affine import LINE, ONE, Box, Polynomial, Product, power
 from cpam_bayes.mechanics.problem import (
     LAMINATE_FORMS,
     MASS_FORMS,
@@ -379,3 +381,85 @@ WARP = Effect(
     even=True,
     couples_stretching=True,
 )
+
+
+# Sides of the square over the shorter side of the plate: each holds what is 0.6 times as long.
+_CUTS = (0.06, 0.10, 0.16, 0.25)
+_CORNERS = ((1.0, 1.0), (1.0, 0.0), (0.0, 1.0), (0.0, 0.0))
+
+
+def _cut(place: Place, problem: Problem, facts: PlateFacts) -> Problem:
+    """K and M less by what a square at a corner has, times the share of it that is missing.
+
+    A smaller cut, of any outline, acts as a part of the square does; all of it leaves the stiffness and the
+    mass of the rest. A weighed plate keeps its mass.
+    """
+    x, y, extent = place
+    side = extent * min(facts.length, facts.width)
+    weight = Product(Box(x, side / facts.length), Box(y, side / facts.width))
+    share = side**2 / (facts.length * facts.width)
+    parts: tuple[tuple[MatrixKind, tuple[Form, ...], CoefficientFunction], ...] = (
+        ("stiffness", LAMINATE_FORMS, laminate_coefficients),
+        ("mass", MASS_FORMS, inertia_coefficients),
+    )
+    terms = (
+        Term("outline", kind, tuple(replace(f, weight=weight) for f in forms), partial(_lacking, share, plain))
+        for kind, forms, plain in parts
+    )
+    changed = with_state(problem, _without_corner) if facts.weighed else problem
+    return changed.with_terms(*terms)
+
+
+def _lacking(share: float, plain: CoefficientFunction, state: PlateState, values: Values) -> Array:
+    missing = np.asarray(values["missing_area"])[..., None] / share
+    return np.asarray(-missing * plain(state, values))
+
+
+def _without_corner(state: PlateState, values: Values) -> PlateState:
+    return replace(state, density=state.density / (1.0 - np.asarray(values["missing_area"])))
+
+
+def _share(extent: float, facts: PlateFacts) -> float:
+    """Of the square over the plate's area, but for a hundredth: it stays one piece."""
+    return 0.99 * extent**2 * min(facts.length, facts.width) / max(facts.length, facts.width)
+
+
+def corner_images(corner: Place, facts: PlateFacts) -> tuple[Place, ...]:
+    """A corner (x, y), each 0 or 1, and those that no frequency tells from it."""
+    x, y = corner[:2]
+    in_x, in_y, turned = symmetries(facts)
+    ways = ((in_x, (1.0 - x, y)), (in_y, (x, 1.0 - y)), (turned or (in_x and in_y), (1.0 - x, 1.0 - y)))
+    return ((x, y), *(image for alike, image in ways if alike))
+
+
+def _may_lack(corner: Place, facts: PlateFacts) -> bool:
+    """Whether both edges at a corner are free, and it is the first of those that look alike."""
+    x0, y0, x1, y1 = conditions(facts.edges)
+    is_free = (x1 if corner[0] else x0).is_free and (y1 if corner[1] else y0).is_free
+    return is_free and corner == min(corner_images(corner, facts), key=_CORNERS.index)
+
+
+_OUTLINES = tuple(
+    Effect(
+        name="outline",
+        title="corner missing",
+        family="shape",
+        belongs_to="plate",
+        parameters=(Parameter("missing_area", "", Uniform(0.0, 1.0), 0.0, PERCENT),),
+        note="K and M without a part of a square at a free corner, of 6, 10, 16 or 25 % of the shorter side",
+        check="Look at the corners: is one cut or broken off?",
+        change=partial(_cut, (*corner, extent)),
+        applies_to=partial(_may_lack, corner),
+        size_factor=partial(_share, extent),
+        place=(*corner, extent),
+        variant=(
+            f"at x = {'length' if corner[0] else '0'}, y = {'width' if corner[1] else '0'}, "
+            f"within {extent:.0%} of the shorter side"
+        ),
+        drawn="corner",
+        form_error=0.23,
+    )
+    for corner in _CORNERS
+    for extent in _CUTS
+)
+OUTLINE = replace(_OUTLINES[0], alternatives=_OUTLINES[1:])

@@ -14,7 +14,8 @@ from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.extension import FrequencyRow
 from cpam_bayes.diagnosis.hypotheses import CLAIM_RULES, NONE
 from cpam_bayes.diagnosis.signatures import ALIKE, cosine
-from cpam_bayes.effects import Effect
+from cpam_bayes.effects import Effect, PlateFacts
+from cpam_bayes.effects.geometry import corner_images
 from cpam_bayes.formatting import listed
 from cpam_bayes.plate import Plate, to_user, unit_of
 from cpam_bayes.questions.diagnose.document import (
@@ -108,6 +109,8 @@ def _draw_found(result: DiagnosisResult, found: Sequence[Cause], axes: Axes, i: 
                 _draw_place(axes, cause, effect, plate)
             elif effect.edges is not None:
                 _draw_edges(axes, plate, effect.edges(d.cases[i].models.facts))
+            elif effect.drawn == "corner":
+                _draw_corner(axes, effect, plate, d.cases[i].models.facts)
             elif effect.drawn:
                 _draw_angle(axes, cause, effect, plate)
             size = size_text(cause, (effect,))
@@ -158,6 +161,19 @@ def _draw_edges(axes: Axes, plate: Plate, edges: Sequence[int]) -> None:
     ends = (((0, 0), (0, b)), ((0, a), (0, 0)), ((a, a), (0, b)), ((0, a), (b, b)))
     for i in edges:
         axes.plot(*ends[i], color=PREDICTED, linewidth=4.0, zorder=4)
+
+
+def _draw_corner(axes: Axes, effect: Effect, plate: Plate, facts: PlateFacts) -> None:
+    """The square that holds what is missing at a corner; hollow at the corners that no frequency tells apart."""
+    from matplotlib.patches import Rectangle
+
+    assert effect.place is not None
+    a, b = 1e3 * plate.length, 1e3 * plate.width
+    side = effect.place[2] * min(a, b)
+    for k, (x, y, *_) in enumerate(corner_images(effect.place, facts)):
+        at = (x * (a - side), y * (b - side))
+        face = "none" if k else PREDICTED
+        axes.add_patch(Rectangle(at, side, side, facecolor=face, edgecolor=PREDICTED, alpha=0.35, zorder=4))
 
 
 def _draw_angle(axes: Axes, cause: Cause, effect: Effect, plate: Plate) -> None:

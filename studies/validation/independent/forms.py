@@ -237,6 +237,29 @@ def _damaged(outline: Profile, extent: float, on: Bench, size: float, place: Pla
     return _softer(on, np.asarray(outline(off / (extent * on.sides.min())), dtype=float), size)
 
 
+# From distances (2, q) from the edges at a corner, in units of a leg, to what is missing there.
+_CORNERS: dict[str, Profile] = {
+    "rectangle along x": lambda p: (p[0] < 1.5) & (p[1] < 0.75),
+    "rectangle along y": lambda p: (p[0] < 0.75) & (p[1] < 1.5),
+    "chamfer": lambda p: p[0] + p[1] < 1.5,
+    "rounded": lambda p: (np.hypot(2.0 - p[0], 2.0 - p[1]) > 2.0) & (np.max(p, axis=0) < 2.0),
+    "broken": lambda p: (p[0] + 0.4 * p[1] < 1.1) & (p[0] + 2.0 * p[1] < 2.2),
+}
+# Of its stiffness and mass, what is left of a part that is gone.
+_REMAINS = 1e-3
+
+
+def _cut_off(missing: Profile, on: Bench, size: float, place: Place) -> Matrices:
+    """A corner is gone; size : of a leg over the shorter side."""
+    leg, corner = size * on.sides.min(), (on.sides * place)[:, None]
+    at, at_mass = (
+        1.0 - (1.0 - _REMAINS) * missing(np.abs(points - corner) / leg)
+        for points in (on.mesh.points, on.mesh.mass_points)
+    )
+    k, _, held = _of_stiffness(on, on.laminate * at[:, None, None])
+    return k, _mass(on.plate, on.mesh, at_mass), held
+
+
 # Relative thickness along a side from -1 to 1, of mean zero and difference 2 between its ends.
 _THICKNESS: dict[str, Profile] = {
     "step": lambda s: np.where(s > 0.1, 1.1, -0.9),
@@ -321,6 +344,7 @@ _FOOTPRINTS = (15e-3, 30e-3)
 _EXTENTS = (0.1, 0.2)
 _SLIPS, _COMPLIANCES = (0.06, 0.12, 0.2), (1.5, 6.0)
 _MASSES, _BOUNCES, _LOSSES = (0.012, 0.045), (0.15, 0.35), (0.3, 0.75)
+_LEGS = (0.1, 0.2)
 _TAPERS, _SKINS, _SAGS = (0.04, 0.16), (0.02, 0.06), (0.25, 0.9)
 # Compliances of one catalogue standard deviation.
 _SOFT = {"clamp_rotation": (0.02, 0.0), "clamp_translation": (0.0, 0.002), "soft_clamp": (0.02, 0.002)}
@@ -351,6 +375,10 @@ FORMS: tuple[RealForm, ...] = (
         RealForm("damage", f"{name}, extent {r:g}", partial(_damaged, outline, r), _LOSSES, (place,))
         for name, outline in _OUTLINES.items()
         for r, place in zip(_EXTENTS, _PLACES, strict=True)
+    ),
+    *(
+        RealForm("outline", name, partial(_cut_off, missing), _LEGS, ((1.0, 1.0),))
+        for name, missing in _CORNERS.items()
     ),
     *(
         RealForm(f"taper_{axis}", name, partial(_of_thickness, profile, "xy".index(axis)), _TAPERS)
