@@ -15,7 +15,9 @@ from tests.plate_file import MEASURED, PLATE
 # Worker processes import the script too, so that they lack the same.
 SCRIPT = """
 import os, signal, sys
-from multiprocessing import resource_tracker
+from multiprocessing import popen_fork, resource_tracker
+
+popen_fork.Popen.kill = lambda process: process._send_signal(9)  # Windows ends a process by no signal
 
 if __name__ == "__main__":
     resource_tracker.ensure_running()  # Windows has none; only a mask keeps Ctrl-C from one that starts

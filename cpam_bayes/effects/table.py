@@ -21,7 +21,7 @@ def catalogue_tables(effects: Sequence[Effect] = CATALOGUE) -> str:
 
 def _row(effect: Effect) -> tuple[str, ...]:
     # a size that follows the plate's has its words in the note
-    of_plate = effect.is_anywhere and effect.size_factor is not None
+    of_plate = bool(effect.is_anywhere or effect.place) and effect.size_factor is not None
     sizes = ["of the plate" if of_plate else _size(p) for p in effect.sizes]
     ends = ["of the plate" if of_plate else _ends(p) for p in effect.sizes]
     texts = (", ".join(t) or "-" for t in (sizes, ends))

@@ -153,6 +153,7 @@ SHOWN = (
     Case("skew", FREE, 6.3, weekly=True),
     Case("warp", FREE, 1.31e-3),
     Case("membrane_stress", FREE, 4.7e6, weekly=True),
+    Case("outline", FREE, 0.087, {"form": "rectangle", "x": 1.0, "y": 0.0, "ratio": 1.18}),
     Case("damage", FREE, 0.77, _patch(0.463, 0.527, FREE)),
     Case("viscoelastic", FREE, 0.037),
     Case("mode_identity", FREE, made=_one_missed),
