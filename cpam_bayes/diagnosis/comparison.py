@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, Hypothesis
 from cpam_bayes.diagnosis.models import PlateModels, extended_model, plate_models
 from cpam_bayes.effects import Effect
-from cpam_bayes.effects.effect import MISREADING
+from cpam_bayes.effects.effect import MISREADINGS
 from cpam_bayes.forward_model.composed import Change, ComposedModel, Part
 from cpam_bayes.forward_model.known_errors import common_covariance, number_of
 from cpam_bayes.forward_model.labels import ShapePairing
@@ -172,8 +172,8 @@ def _part(
             continue
         scatter.append(joint.add(deviation(parameter, specimen, joint.scatter)))
     f, kept = case.measurement.frequencies, np.flatnonzero(case.modes >= 0)
-    modes, log_constant, misread = case.modes[kept], case.log_pairing, None
-    changes: list[Change] = []
+    modes, log_constant = case.modes[kept], case.log_pairing
+    changes, misread = list[Change](), list[tuple[int, int]]()
     if hypothesis is not None:
         for effect in hypothesis.effects:
             at = tuple(joint.add(p, "" if shared else specimen) for p in effect.parameters)
@@ -187,12 +187,11 @@ def _part(
             log_constant -= float(np.log(f[-1]))  # a false peak lies anywhere below the last one
         for missed in listed.missed:
             modes = np.where(modes >= missed, modes + 1, modes)
-        if listed.misread is not None:
-            column = joint.add(MISREADING)
-            at_misread = np.flatnonzero(kept == listed.misread)
-            misread = (int(at_misread[0]), column) if len(at_misread) else None
+        for number, parameter in zip(listed.misread, MISREADINGS, strict=False):
+            column = joint.add(parameter)
+            misread += [(int(i), column) for i in np.flatnonzero(kept == number)]
     error = np.hypot(models.error, models.theory_error)[np.minimum(modes, len(models.error) - 1)]
-    part = Part(bare, np.array(columns), np.array(scatter), tuple(changes), modes, misread)
+    part = Part(bare, np.array(columns), np.array(scatter), tuple(changes), modes, tuple(misread))
     return part, _listed(case.measurement, kept, error, log_constant)
 
 

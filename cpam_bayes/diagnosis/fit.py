@@ -21,7 +21,7 @@ from cpam_bayes.diagnosis.evidence.sampled import about_draws, sampled_marginal,
 from cpam_bayes.diagnosis.evidence.scan import marginal_of
 from cpam_bayes.diagnosis.evidence.weighing import Weighed
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Claim, Hypothesis
-from cpam_bayes.effects.effect import MISREADING
+from cpam_bayes.effects.effect import MISREADINGS
 from cpam_bayes.forward_model.composed import ComposedModel
 from cpam_bayes.forward_model.preconditions import birge_ratio
 from cpam_bayes.inference.log_density import LogDensity, kept_of
@@ -379,7 +379,7 @@ def gain_of(
 def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | None, scatter: float) -> Array:
     """Log evidences of a hypothesis without each of the frequencies in turn, (n,).
 
-    Without the frequency that it takes as misread, what is left of the list is free of that error, over
+    Without a frequency that it takes as misread, what is left of the list is free of that error, over
     whose size the density of the frequency integrates to one. A false peak has a density of its own, apart
     from the modes: without it the other frequencies keep theirs.
     """
@@ -398,10 +398,10 @@ def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | Non
             continue
         at, hypothesis, known = int(paired[:i].sum()), t.hypothesis, t.marginal.z[: _FOLDS.starts]
         model: ComposedModel | None = near
-        if listed.misread is not None and i == before + listed.misread:
-            hypothesis, model = _without_misreading(hypothesis), None
-            parts = t.marginal.comparison.model.parts
-            column = next(part.misread[1] for part in parts if part.misread is not None)
+        if i - before in listed.misread:
+            hypothesis, model = _without_misreading(hypothesis, i - before), None
+            parts, own = t.marginal.comparison.model.parts, at - int(paired[:before].sum())
+            column = next(column for part in parts for j, column in part.misread if j == own)
             known = np.delete(known, column, axis=1)
         if listed.spurious is not None:
             if i == before + listed.spurious:
@@ -468,9 +468,12 @@ def _sampled(t: Tested) -> Tested:
     return t if t.marginal.is_sampled else replace(t, marginal=sampled_marginal(t.marginal))
 
 
-def _without_misreading(hypothesis: Hypothesis) -> Hypothesis:
+def _without_misreading(hypothesis: Hypothesis, number: int) -> Hypothesis:
+    """One misread frequency less; the parameter of a second one goes first."""
+    listed = hypothesis.listed
+    gone = MISREADINGS[len(listed.misread) - 1].name
     return replace(
         hypothesis,
-        listed=replace(hypothesis.listed, misread=None),
-        parameters=tuple(p for p in hypothesis.parameters if p.name != MISREADING.name),
+        listed=replace(listed, misread=tuple(i for i in listed.misread if i != number)),
+        parameters=tuple(p for p in hypothesis.parameters if p.name != gone),
     )

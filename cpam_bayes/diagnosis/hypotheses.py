@@ -83,8 +83,9 @@ class Hypothesis:
 
     @property
     def may_repeat(self) -> bool:
-        """Whether a plate may have two of it: masses and flaws at two places."""
-        return len(self.records) == 1 and all(e.is_anywhere for e in self.records)
+        """Whether there may be two of it: masses and flaws at two places, two misread frequencies."""
+        is_somewhere = bool(self.listed.misread) or all(e.is_anywhere for e in self.effects)
+        return len(self.records) == 1 and is_somewhere and not self.listed.changes_pairing
 
     @property
     def has_leftover(self) -> bool:
@@ -212,9 +213,11 @@ def set_scales(singles: Sequence[Hypothesis]) -> dict[int, float]:
 
 def repeated(hypothesis: Hypothesis) -> Hypothesis:
     """A second effect of the same cause."""
-    (effect,) = hypothesis.effects
+    (effect,) = hypothesis.records
     second = effect.again()
-    return replace(hypothesis, cause=second.name, effects=(second,), parameters=second.parameters)
+    of_plate, unmodelled = ((second,), ()) if hypothesis.effects else ((), (second,))
+    changed = replace(hypothesis, cause=second.name, parameters=second.parameters)
+    return replace(changed, effects=of_plate, unmodelled=unmodelled)
 
 
 def together(causes: Sequence[Hypothesis], scales: Mapping[int, float]) -> Hypothesis:
@@ -225,12 +228,19 @@ def together(causes: Sequence[Hypothesis], scales: Mapping[int, float]) -> Hypot
         family=SET,
         variant=" / ".join(h.variant for h in parts if h.variant),
         effects=tuple(e for h in parts for e in h.effects),
-        listed=next((h.listed for h in parts if h.listed != _NO_ERROR), _NO_ERROR),
+        listed=_both([h.listed for h in parts if h.listed != _NO_ERROR]),
         parameters=tuple(p for h in parts for p in h.parameters),
         prior=scales[len(parts)] * float(np.prod([h.prior for h in parts])),
         unmodelled=tuple(e for h in parts for e in h.unmodelled),
         parts=parts,
     )
+
+
+def _both(errors: Sequence[ListChange]) -> ListChange:
+    """Errors of one list that act at once: none, one, or misread frequencies."""
+    if len(errors) < 2:
+        return errors[0] if errors else _NO_ERROR
+    return ListChange(misread=tuple(i for error in errors for i in error.misread))
 
 
 def _of_plate(effect: Effect, facts: PlateFacts) -> list[tuple[Hypothesis, float]]:
@@ -252,7 +262,7 @@ def _of_list(effect: Effect, n: int, complete: bool) -> list[tuple[Hypothesis, f
                 effect.family,
                 variant.text,
                 listed=variant.change,
-                parameters=() if variant.change.misread is None else effect.parameters,
+                parameters=effect.parameters if variant.change.misread else (),
                 unmodelled=(effect,),
             ),
             variant.fraction,
@@ -262,16 +272,18 @@ def _of_list(effect: Effect, n: int, complete: bool) -> list[tuple[Hypothesis, f
 
 
 def go_together(*causes: Hypothesis) -> bool:
-    """Whether causes can act together: not what excludes each other, and one error of the list only.
+    """Whether causes can act together: not what excludes each other, nor modes paired otherwise and misread.
 
-    A second effect of a cause acts beside the first one.
+    A second effect of a cause acts beside the first one, and a second misread frequency is the higher one.
 
     Where the constants may be anything, what else may be wrong is for another diagnosis to say.
     """
     each = [h for cause in causes for h in cause.instances]
     if len({h.cause for h in each}) < len(each) or any(h.other_material for h in each):
         return False
-    if sum(h.listed != _NO_ERROR for h in each) > 1:
+    errors = [h.listed for h in sorted(each, key=lambda h: h.cause) if h.listed != _NO_ERROR]
+    misread = [i for error in errors for i in error.misread]
+    if len(errors) > 1 and (len(misread) < len(errors) or misread != sorted(set(misread))):
         return False
     records = [e for h in each for e in h.records]
     names = {e.name for e in records}

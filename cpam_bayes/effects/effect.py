@@ -101,12 +101,12 @@ class ListChange:
 
     missed : numbers of the model modes that the list lacks
     spurious : number of the listed frequency that is no mode
-    misread : number of the listed frequency that is 1 + ``misreading`` times the mode's
+    misread : numbers of the listed frequencies that are 1 + one of ``MISREADINGS`` times the mode's
     """
 
     missed: tuple[int, ...] = ()
     spurious: int | None = None
-    misread: int | None = None
+    misread: tuple[int, ...] = ()
 
     @property
     def changes_pairing(self) -> bool:
@@ -243,14 +243,13 @@ class Effect:
         return replace(placed, parameters=self.sizes, size_factor=None)
 
     def again(self) -> Effect:
-        """A second one of the same cause on a plate, with a name and parameters of its own."""
-        assert self.change is not None
+        """A second one of the same cause, with a name and parameters of its own."""
         return replace(
             self,
             name=_SECOND.format(self.name),
             title=f"second {self.title}",
             parameters=tuple(replace(p, name=_SECOND.format(p.name)) for p in self.parameters),
-            change=partial(_changed_again, self.change),
+            change=None if self.change is None else partial(_changed_again, self.change),
             at=None if self.at is None else partial(_at_again, self.at),
             smooth=tuple(map(_SECOND.format, self.smooth)),
             repeats=self,
@@ -460,8 +459,9 @@ def _on_half_or_quarter(effect: Effect, facts: PlateFacts) -> Effect:
     return replace(effect, parameters=(size, *further), variant=variant)
 
 
-# Relative error of a misread frequency.
+# Relative error of a misread frequency, and of a second one.
 MISREADING = either_sign("misreading", "", 0.05, end=0.6, shown=PERCENT)
+MISREADINGS = (MISREADING, replace(MISREADING, name=_SECOND.format(MISREADING.name)))
 # Fractions of the prior: two modes missed, of the errors of pairing; a frequency in another's place.
 _TWO_MISSED, _MOVED = 0.1, 0.1
 
@@ -493,7 +493,9 @@ def _misreadings(n: int, complete: bool) -> tuple[ListVariant, ...]:
         if i != k and complete
     ]
     gross = _MOVED if moved else 0.0
-    in_place = [ListVariant(ListChange(misread=i), f"frequency {i + 1}", (1.0 - gross) / n) for i in range(n)]
+    in_place = [
+        ListVariant(ListChange(misread=(i,)), f"frequency {i + 1}", (1.0 - gross) / n) for i in range(n)
+    ]
     return (*in_place, *(ListVariant(*entry, gross / len(moved)) for entry in moved))
 
 

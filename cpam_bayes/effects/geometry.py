@@ -1,4 +1,4 @@
-"""Plates of other sizes, thickness or density than stated, and of other shape: taper, skew, warp, a missing corner."""
+"""Plates of other sizes, thickness or density than stated, and of other shape: taper, skew, warp, outline."""
 
 from __future__ import annotations
 
@@ -402,12 +402,11 @@ def _cut(place: Place, problem: Problem, facts: PlateFacts) -> Problem:
         ("stiffness", LAMINATE_FORMS, laminate_coefficients),
         ("mass", MASS_FORMS, inertia_coefficients),
     )
-    terms = (
-        Term("outline", kind, tuple(replace(f, weight=weight) for f in forms), partial(_lacking, share, plain))
-        for kind, forms, plain in parts
-    )
     changed = with_state(problem, _without_corner) if facts.weighed else problem
-    return changed.with_terms(*terms)
+    for kind, forms, plain in parts:
+        there = tuple(replace(form, weight=weight) for form in forms)
+        changed = changed.with_terms(Term("outline", kind, there, partial(_lacking, share, plain)))
+    return changed
 
 
 def _lacking(share: float, plain: CoefficientFunction, state: PlateState, values: Values) -> Array:

@@ -46,7 +46,7 @@ class Part:
     scatter : (n,) columns of their relative deviations from these, -1 for none
     changes : the effects that it has
     modes : (n_f,) the model mode of each frequency of its list
-    misread : a misread frequency, and the column of its relative error
+    misread : misread frequencies, each with the column of its relative error
     """
 
     bare: ForwardModel
@@ -54,7 +54,7 @@ class Part:
     scatter: Array
     changes: tuple[Change, ...]
     modes: Array
-    misread: tuple[int, int] | None = None
+    misread: tuple[tuple[int, int], ...] = ()
 
     def plate_vector(self, x: Array) -> Array:
         """Parameters of the plate at joint vectors (m, n), (m, n_plate)."""
@@ -185,8 +185,7 @@ def _predict(part: Part, x: Array, jacobian: bool) -> Prediction:
         if change.observe is not None:
             f, slope = _observed(change, f, slope, x, jacobian)
     f, slope = f[:, part.modes], slope[:, part.modes]
-    if part.misread is not None:
-        i, column = part.misread
+    for i, column in part.misread:
         factor = 1.0 + x[:, column]
         f, slope = f.copy(), slope.copy()
         if jacobian:

@@ -113,7 +113,7 @@ def test_an_effect_on_the_frequencies_acts_on_those_of_the_plate_with_its_effect
 
 
 def test_a_frequency_that_is_misread_is_multiplied() -> None:
-    model = one_part(joint(BENT, plain("slip", 0.05)), bend(), misread=(3, 3))
+    model = one_part(joint(BENT, plain("slip", 0.05)), bend(), misread=((3, 3),))
     x = np.array([1.03, 0.95, 0.012, 0.2])
     factor = np.ones(len(F0))
     factor[3] = 1.2
@@ -128,7 +128,7 @@ def two_plates() -> ComposedModel:
     own = joint(*(plain(f"scatter {i}") for i in range(4)), BENT)
     parts = (
         Part(BARE, np.array([0, 1]), np.array([2, 3]), (), EVERY_MODE[:5]),
-        Part(BARE, np.array([0, 1]), np.array([4, 5]), (bend(6),), EVERY_MODE[2:], misread=None),
+        Part(BARE, np.array([0, 1]), np.array([4, 5]), (bend(6),), EVERY_MODE[2:]),
     )
     return ComposedModel(own, parts)
 

@@ -216,6 +216,27 @@ def test_the_claim_is_what_was_hidden(case: Case) -> None:
     assert case.cause in found.causes
 
 
+def test_two_misread_frequencies_are_claimed_at_once() -> None:
+    """The third 3 % too low, the seventh 4.3 % too high: neither alone explains the list."""
+    factor = np.where(np.arange(FREE.n_modes) == 2, 0.97, np.where(np.arange(FREE.n_modes) == 6, 1.043, 1.0))
+
+    def misread(plate: NominalPlate, rng: np.random.Generator) -> Listed:
+        own = plate.drawn(rng)
+        return lists.listed(plate, own, "one", {}, rng, on_list=lambda f: f * factor, causes=("outlier",))
+
+    few = tuple(effect for effect in CATALOGUE if effect.name in ("outlier", "mode_identity", "density"))
+    found = _diagnosed(Case("outlier", FREE, made=misread, sets=True), few)
+    assert (found.claim, found.causes) == ("pair", ("outlier", "outlier#2"))
+    (both,) = (h for h in found.to_dict()["hypotheses"] if h["cause"] == "outlier + outlier#2")
+    sizes = [both["parameters"][name] for name in ("misreading", "misreading#2")]
+    for size, true in zip(sizes, (-3.0, 4.3), strict=True):
+        assert size["mean"] == pytest.approx(true, abs=3.0 * size["sd"])
+        assert size["sd"] < 0.5
+    headline = found.summary().splitlines()[1]
+    assert "misread frequency 296 Hz" in headline
+    assert "misread frequency 602.7 Hz" in found.summary()
+
+
 @pytest.mark.slow
 def test_a_shear_ratio_within_its_limits_is_left_open_and_leads() -> None:
     found = _diagnosed(OPEN)

@@ -129,7 +129,7 @@ def misread(i: int, prior: float = 0.01) -> Hypothesis:
         "outlier",
         "list",
         f"frequency {i + 1}",
-        listed=ListChange(misread=i),
+        listed=ListChange(misread=(i,)),
         parameters=(MISREADING,),
         prior=prior,
     )

@@ -172,7 +172,9 @@ def test_what_the_catalogue_says_of_causes_is_listed() -> None:
     without = {e.name for e in CATALOGUE for p in e.sizes if not isinstance(p.prior, Mixture)}
     physics = {"transverse_shear", "shear_ratio", "membrane_stress", "viscoelastic", "resin_skin", "air"}
     misstated = {"thickness", "density", "length", "width", "frequency_scale", "outlier"}
-    assert without == physics | misstated | {*("sensor_mass", "edge_mass", "damage", "clamp_slip", "support", "outline")}
+    assert without == physics | misstated | {
+        *("sensor_mass", "edge_mass", "damage", "clamp_slip", "support", "outline")
+    }
     # a sister plate has what is of the material and of the laboratory
     assert {e.name for e in ON_THE_PLATE if e.is_common_to_sisters} == {
         *("air", "frequency_scale", "shear_ratio", "transverse_shear", "viscoelastic")

@@ -100,7 +100,7 @@ def all_modes(plain: LogDensity) -> tuple[LogDensity, list[int]]:
         len(part.bare.predict(_middle(plain, i)).frequencies[0]) for i, part in enumerate(plain.model.parts)
     ]
     parts = tuple(
-        replace(part, modes=np.arange(size), misread=None)
+        replace(part, modes=np.arange(size), misread=())
         for part, size in zip(plain.model.parts, sizes, strict=True)
     )
     offsets = [0, *np.cumsum(sizes)[:-1].tolist()]
@@ -125,8 +125,8 @@ def _indices(
         places = np.flatnonzero(kept)
         for part, offset in zip(variant.model.parts, offsets, strict=True):
             modes.append(part.modes + offset)
-            if part.misread is not None:
-                mask[v, places[at + part.misread[0]]] = False
+            for i, _ in part.misread:
+                mask[v, places[at + i]] = False
             at += len(part.modes)
         index[v, kept] = np.concatenate(modes)
         mask[v] &= kept

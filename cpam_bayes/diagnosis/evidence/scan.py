@@ -517,11 +517,10 @@ def is_repairing(hypothesis: Hypothesis) -> bool:
 
 
 def with_misreading(comparison: LogDensity, starts: Array) -> Array:
-    """Starts (s, n) of a pairing, with a misread frequency off by what the model lacks there."""
+    """Starts (s, n) of a pairing, with misread frequencies off by what the model lacks there."""
     starts, at = starts.copy(), 0
     for part in comparison.model.parts:
-        if part.misread is not None:
-            i, column = part.misread
+        for i, column in part.misread:
             x = comparison.scores.to_x(starts)
             x[:, column] = 0.0
             f, _ = comparison.predict(x)

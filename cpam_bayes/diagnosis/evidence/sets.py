@@ -47,7 +47,6 @@ from cpam_bayes.diagnosis.hypotheses import (
     set_scales,
     together,
 )
-from cpam_bayes.effects import ListChange
 from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.running import cut_short, is_time_up
@@ -327,7 +326,10 @@ class _SetSearch:
         scan.test(trials)
 
     def fit_list_errors(self, errors: Sequence[tuple[Hypothesis, tuple[int, ...]]]) -> None:
-        """Fit the leading causes of the plates together with the errors of their lists that suit them."""
+        """Fit the leading causes of the plates together with the errors of their lists that suit them.
+
+        Of two misread frequencies neither may suit the plain model alone: all two are tried beside it.
+        """
         scan, leaders = self.scan, dict[str, Tested]()
         for t in self.causes:
             if t.hypothesis.effects:
@@ -337,6 +339,10 @@ class _SetSearch:
             for t in list(leaders.values())[: SETS.with_list_errors]
             if (pairs := self._with_errors(t, errors))
         ]
+        for plates in dict.fromkeys(plates for _, plates in errors):
+            plain = replace(scan.tested[0], plates=plates)
+            if pairs := self._misread_twice([h for h, own in errors if own == plates and h.may_repeat]):
+                items.append((tuple(scan.cases), plain, pairs, scan.scatter))
         if items and self.must_end():
             cut_short("cut_list_errors")
             return
@@ -361,6 +367,11 @@ class _SetSearch:
             if plates == t.plates and go_together(t.hypothesis, error)
         )
         return tuple(pair for pair in pairs if (pair.cause, pair.variant, t.plates) not in self.fitted)
+
+    def _misread_twice(self, errors: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+        """Every two misread frequencies."""
+        couples = ((a, repeated(b)) for a, b in combinations(errors, 2))
+        return tuple(together(couple, self.scales) for couple in couples if go_together(*couple))
 
     def _ranked(self, point: _Point) -> list[_Candidate]:
         """The sets that add a cause to the point, or two, the best variants of each, the best set first."""
@@ -460,7 +471,7 @@ def _shifts(scan: Scan, point: _Point, t: Tested) -> _Shifts | None:
     comparison = t.marginal.comparison
     if point.leader is not None or point.cases:
         listed = hypothesis.listed
-        if point.leader is not None and point.leader.hypothesis.listed != ListChange():
+        if point.leader is not None and point.leader.hypothesis.listed.changes_pairing:
             listed = point.leader.hypothesis.listed
         of_plates = about(scan.cases, replace(hypothesis, listed=listed), t.plates)
         comparison = comparison_of(point.cases or scan.cases, of_plates, scatter=scan.scatter)

@@ -138,13 +138,13 @@ def _with_probabilities(d: Diagnosis, causes: Mapping[str, float]) -> str:
 def _found(d: Diagnosis, cause: Cause) -> str:
     """A cause with its size and where it is; of a set, one after the other."""
     said, in_list = [], _in_list(d, cause)
+    of_list = dict(zip(cause.hypothesis.unmodelled, in_list, strict=False))
     for effect in cause.hypothesis.records:
         size = size_text(cause, (effect,))
         if effect.local == "point":
             said.append(f"something heavy was on the plate, {size}{_near(d, cause)}")
         else:
-            title = in_list if effect in cause.hypothesis.unmodelled and in_list else effect.title
-            said.append(", ".join(t for t in (title, size) if t))
+            said.append(", ".join(t for t in (of_list.get(effect, effect.title), size) if t))
     told = bool(in_list) or any(e.is_anywhere for e in cause.hypothesis.records)
     where = f" ({cause.variant})" if cause.variant and not told else ""
     return f"{'; '.join(said) or title_of(d, cause.name)}{where}{_of_plates(d, cause)}"
@@ -163,20 +163,20 @@ def _near(d: Diagnosis, cause: Cause) -> str:
     return f" near ({1e3 * place[0][0]:.0f}, {1e3 * place[0][1]:.0f}) mm" if place else ""
 
 
-def _in_list(d: Diagnosis, cause: Cause) -> str:
-    """The error of the list in words, "" where there is none."""
+def _in_list(d: Diagnosis, cause: Cause) -> list[str]:
+    """The errors of the list in words."""
     change = cause.hypothesis.listed
     case = next(case for case in d.cases if case.name in cause.plates)
-    k = change.misread if change.spurious is None else change.spurious
-    hz = "" if k is None else f"{case.measurement.frequencies[k]:g} Hz"
+    f, k = case.measurement.frequencies, change.spurious
+    hz = "" if k is None else f"{f[k]:g} Hz"
     missed = listed([str(k + 1) for k in change.missed], "and")
-    if change.misread is not None:
-        return f"misread frequency {hz}"
     if missed and hz:
-        return f"{hz} is a misreading of mode {missed}"
+        return [f"{hz} is a misreading of mode {missed}"]
     if missed:
-        return f"the list lacks mode {missed}"
-    return f"{hz} is no mode of the plate" if hz else ""
+        return [f"the list lacks mode {missed}"]
+    if hz:
+        return [f"{hz} is no mode of the plate"]
+    return [f"misread frequency {f[i]:g} Hz" for i in change.misread]
 
 
 def _of_plates(d: Diagnosis, cause: Cause) -> str:

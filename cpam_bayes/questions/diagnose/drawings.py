@@ -164,7 +164,7 @@ def _draw_edges(axes: Axes, plate: Plate, edges: Sequence[int]) -> None:
 
 
 def _draw_corner(axes: Axes, effect: Effect, plate: Plate, facts: PlateFacts) -> None:
-    """The square that holds what is missing at a corner; hollow at the corners that no frequency tells apart."""
+    """The square that holds what is missing; hollow at the corners that no frequency tells apart."""
     from matplotlib.patches import Rectangle
 
     assert effect.place is not None
