@@ -99,7 +99,7 @@ def test_any_frequency_may_be_misread_any_mode_missed_or_false() -> None:
     n = 7
     found = singles("C1", n)
     misread = [h.listed for h in found if h.cause == "outlier"]
-    assert [change.misread for change in misread[:n]] == list(range(n))
+    assert [change.misread for change in misread[:n]] == [(i,) for i in range(n)]
     moved = {(*change.missed, change.spurious) for change in misread[n:]}
     assert moved == {(k, i) for k in range(n) for i in range(n) if i != k}
     of_list = [h for h in found if h.cause == "mode_identity"]
@@ -118,7 +118,7 @@ def test_air_that_the_file_states_is_no_cause_and_an_incomplete_list_lacks_modes
     found = singles("C1", complete=False)
     assert all(h.cause != "mode_identity" for h in found)
     # and a frequency in another place is a false one and a missed one
-    assert [h.listed.misread for h in found if h.cause == "outlier"] == list(range(8))
+    assert [h.listed.misread for h in found if h.cause == "outlier"] == [(i,) for i in range(8)]
 
 
 def toys(*plates: tuple[str, str]) -> list[PlateCase]:

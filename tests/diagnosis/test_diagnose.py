@@ -250,7 +250,7 @@ def test_the_frequency_that_a_list_hypothesis_explains_is_told_by_its_own_list(
         monkeypatch.setattr(gain, "marginal_of", recorded)
         found = gain.left_out(cases, t, 16, None, 0.02)
         assert asked == expected
-        if of.listed.misread is not None:
+        if of.listed.misread:
             # without the misread frequency the rest of the list has no error
             assert np.flatnonzero(clean).tolist() == [11]
         else:

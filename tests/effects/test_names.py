@@ -16,7 +16,7 @@ PACKAGE = Path(cpam_bayes.__file__).parent
 NAMES = {e.name for e in CATALOGUE} | {p.name for e in CATALOGUE for p in e.parameters}
 FAMILIES = {e.family for e in CATALOGUE}
 # Words of the plate file, which name its numbers and tables where no effect is meant.
-PLATE_WORDS = {*SIZES, "air", "air_density", "frequency_scale", "layup", "material"}
+PLATE_WORDS = {*SIZES, "air", "air_density", "frequency_scale", "layup", "material", "outline"}
 # Truths that are made without the catalogue, and their scores, name what they hide: they may not ask it.
 VALIDATION = PACKAGE.parent / "studies" / "validation"
 TRUTHS = [path for folder in ("independent", "claims") for path in sorted((VALIDATION / folder).glob("*.py"))]

@@ -187,7 +187,8 @@ def add_sets(scan: Scan, hypotheses: Sequence[tuple[Hypothesis, tuple[int, ...]]
         points = {id(t): _Point.of(t) for t in (*leaders[:1], *of_pairing)}
         search.fit([search.plain, *search.medians, *points.values()], SETS.fitted)
         best = search.best()
-        if best is None or misfit_probability(best.marginal) < EXPLAINED:
+        # a set may explain the lists and yet be less probable than what nothing explains
+        if best is None or misfit_probability(best.marginal) < EXPLAINED or best.log_weight < scan.best:
             search.fit_list_errors([(h, plates) for h, plates in hypotheses if is_repairing(h)])
         before = None
         while (best := search.best()) is not None and best is not before:

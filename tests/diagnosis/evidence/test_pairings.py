@@ -175,7 +175,7 @@ def test_a_misread_frequency_of_an_incomplete_list_is_found() -> None:
     errors = [misread(i, 0.02) for i in range(len(f))]
     found = weigh([plate(f)], of_one(NOTHING, *SINGLES, *errors), sets=False)
     best = found.best_of("outlier")
-    assert best.hypothesis.listed.misread == 2
+    assert best.hypothesis.listed.misread == (2,)
     np.testing.assert_array_equal(best.cases[0].modes, np.delete(np.arange(8), 5))
 
 

@@ -236,11 +236,11 @@ def test_the_misread_frequency_is_found_again_beside_a_gross_cause(i: int) -> No
     errors = [misread(k) for k in range(8)]
     own = plate(with_slip(i, 0.03) + 0.04 * DENT)
     alone = weigh([own], of_one(NOTHING, ANYTHING, *SINGLES, *errors), sets=False)
-    assert next(t for t in alone.tested if t.hypothesis.cause == "outlier").hypothesis.listed.misread != i
+    assert next(t for t in alone.tested if t.hypothesis.cause == "outlier").hypothesis.listed.misread != (i,)
     found = weigh([own], of_one(NOTHING, ANYTHING, *SINGLES, *errors))
     best = found.tested[0]
     assert best.hypothesis.causes == ("dented", "outlier")
-    assert best.hypothesis.listed.misread == i
+    assert best.hypothesis.listed.misread == (i,)
     assert found.by_cause()[best.hypothesis.cause] > 0.9
 
 
@@ -256,7 +256,7 @@ def test_an_outlier_and_a_cause_of_the_plate_go_together_in_either_order() -> No
         columns = effect_columns(comparison, pair[0])
         assert {comparison.parameters.names[c] for c in columns} == {"misreading", "size of dented"}
         part = comparison.model.parts[0]
-        assert part.misread == (3, comparison.parameters.names.index("misreading"))
+        assert part.misread == ((3, comparison.parameters.names.index("misreading")),)
         found.append(marginal_of([own], pair[0], (0,)).log_evidence)
     # once the quadrature is over the slip, once over the dent: one evidence
     assert found[0] == pytest.approx(found[1], abs=0.1)
