@@ -55,8 +55,17 @@ def drawn_by(name: str) -> set[str]:
     return {path.stem for path in captions if said in path.read_text(encoding="utf-8")}
 
 
+# Studies whose smallest run takes more than 18 s.
+LONGEST = (
+    *("14_sequence_reference", "15_claims", "18_evidence_reference", "21_hard_use", "23_growth", "27_coins"),
+)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", draw.NAMES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.weekly] if name in LONGEST else []) for name in draw.NAMES],
+)
 def test_a_figure_is_drawn_from_a_small_run(name: str, tmp_path: Path) -> None:
     drawing = draw.drawing(name)
     (tmp_path / f"{drawing.study}.json").write_text(quick_text(drawing.study), encoding="utf-8")

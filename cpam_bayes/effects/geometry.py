@@ -444,7 +444,7 @@ _OUTLINES = tuple(
         title="corner missing",
         family="shape",
         belongs_to="plate",
-        parameters=(Parameter("missing_area", "", Uniform(0.0, 1.0), 0.0, PERCENT),),
+        parameters=(Parameter("missing_area", "", Uniform(0.0, 1.0), 0.0, ("% of the area", 100.0)),),
         note="K and M without a part of a square at a free corner, of 6, 10, 16 or 25 % of the shorter side",
         check="Look at the corners for a piece that is cut or broken off.",
         change=partial(_cut, (*corner, extent)),
@@ -453,7 +453,7 @@ _OUTLINES = tuple(
         place=(*corner, extent),
         variant=(
             f"at x = {'length' if corner[0] else '0'}, y = {'width' if corner[1] else '0'}, "
-            f"within {extent:.0%} of the shorter side"
+            f"within {100.0 * extent:.0f} % of the shorter side"
         ),
         drawn="corner",
         form_error=0.23,

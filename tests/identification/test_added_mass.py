@@ -91,6 +91,7 @@ def test_a_mass_is_found_where_it_is_up_to_mirror_images(free: tuple[LoadedPlate
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_masses_lie_in_their_intervals_as_often_as_these_say(free: tuple[LoadedPlate, Cells]) -> None:
     rng = np.random.default_rng(5)
     inside = []
@@ -159,6 +160,7 @@ def test_a_repeatability_that_is_not_stated_is_inferred(free: tuple[LoadedPlate,
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_a_mass_at_the_detection_limit_is_mostly_claimed_and_half_of_it_less_often(
     free: tuple[LoadedPlate, Cells],
 ) -> None:

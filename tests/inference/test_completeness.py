@@ -123,6 +123,7 @@ def false_warnings(own: Case, n: int) -> int:
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_of_fifty_noisy_complete_lists_at_most_one_is_put_in_doubt(aluminium: Case) -> None:
     assert false_warnings(aluminium, 50) <= 1
 

@@ -194,7 +194,7 @@ def test_a_scheduler_that_goes_away_ends_the_work_with_an_error(tmp_path: Path) 
     with (
         _scheduler(tmp_path) as scheduler,
         _workers(tmp_path, 1),
-        open_executor(_spec(tmp_path), patience=120) as executor,
+        open_executor(_spec(tmp_path), patience=30) as executor,
     ):
 
         def stop(index: int, result: int) -> None:

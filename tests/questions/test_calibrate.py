@@ -44,6 +44,7 @@ def test_intervals_that_are_too_narrow_are_flagged_and_right_ones_are_not() -> N
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_the_answer_is_the_same_on_any_number_of_processes() -> None:
     alone = answered("calibrate")
     shared = cb.calibrate("A1", 20, executor="processes", workers=2)

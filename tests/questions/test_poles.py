@@ -73,7 +73,7 @@ def calibrated(n_tests: int, n_responses: int, noise: float, seed: int) -> tuple
     ("n_tests", "n_responses", "least", "inside"),
     [
         (6, 3, 0.9, 0.84),  # 40 poles: 0.95 less three standard errors
-        pytest.param(100, 3, 0.95, 0.92, marks=pytest.mark.slow),
+        pytest.param(100, 3, 0.95, 0.92, marks=[pytest.mark.slow, pytest.mark.weekly]),
         # one response tells a pair from one mode less well
         pytest.param(100, 1, 0.95, 0.90, marks=pytest.mark.slow),
     ],

@@ -119,7 +119,7 @@ def test_the_surrogate_gives_the_distribution_of_brute_force(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("relative_std", [0.01, None])
+@pytest.mark.parametrize("relative_std", [pytest.param(0.01, marks=pytest.mark.weekly), None])
 def test_of_1296_sequences_pruned_and_by_surrogate_the_distribution_is_that_of_brute_force(
     relative_std: float | None,
 ) -> None:

@@ -171,6 +171,7 @@ def test_sampled_posteriors_of_a_linear_model_are_calibrated() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_sampled_posteriors_of_a_thin_plate_are_calibrated() -> None:
     own = Experiment(PlateSource("C1", 6), 1.0, None, 1, BRIEF)
     assert parameter_names(own) == ("E1", "E2", "nu12", "G12", "relative_std")

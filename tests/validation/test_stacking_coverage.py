@@ -50,6 +50,7 @@ def test_probabilities_that_are_too_sure_do_not_pass() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_sets_of_simulated_plates_hold_the_true_sequence() -> None:
     settings = CoverageSettings(library=400, log2_points=7)
     found = stacking_coverage(specimen(), 24, 0, settings=settings)
