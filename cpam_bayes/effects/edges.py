@@ -297,7 +297,7 @@ _FOAM = Effect(
     size_factor=_per_first_frequency,
     sign=1,
     even=True,
-    form_error=0.33,
+    form_error=0.16,
 )
 # Pads are laid about the nodal lines of the lowest modes.
 SUPPORT = replace(

@@ -251,7 +251,7 @@ _REMAINS = 1e-3
 
 def _cut_off(missing: Profile, on: Bench, size: float, place: Place) -> Matrices:
     """A corner is gone; size : of a leg over the shorter side."""
-    leg, corner = size * on.sides.min(), (on.sides * place)[:, None]
+    leg, corner = max(size, 1e-9) * on.sides.min(), (on.sides * place)[:, None]
     at, at_mass = (
         1.0 - (1.0 - _REMAINS) * missing(np.abs(points - corner) / leg)
         for points in (on.mesh.points, on.mesh.mass_points)
