@@ -100,7 +100,7 @@ def within_stated_noise(tested: Tested, n_constants: int) -> bool:
     stated = listed.scale == 0.0
     covariance = np.diag(listed.variance) + (0.0 if listed.common is None else listed.common)
     root = np.linalg.cholesky(covariance[np.ix_(stated, stated)])
-    white = np.linalg.solve(root, (listed.frequencies - predicted[0])[stated])
+    white = np.linalg.solve(root, marginal.comparison.residuals(predicted)[0, stated])
     return birge_ratio(np.asarray(white, dtype=np.float64), n_constants) == 1.0
 
 
@@ -147,14 +147,14 @@ def _refitted(comparison: LogDensity, z: Array, amplitudes: Array) -> tuple[Arra
     x = comparison.scores.to_x(z)
     predicted, jacobian = comparison.predict(x, jacobian=True)
     assert jacobian is not None
-    slope = comparison.scores.by_score(jacobian, x, z)[:, :, free]
+    slope = comparison.scores.by_score(jacobian, x, z)[:, :, free] * (f / predicted)[..., None]
     at = np.repeat(x[:, None], a, axis=1)
     if comparison.noise is not None:
         at[:, :, [c for c in comparison.amplitudes if c >= 0]] = amplitudes[:, None]
     covariance = comparison.covariance(at.reshape(len(z) * a, -1))
     back = np.linalg.inv(np.linalg.cholesky(covariance)).reshape(len(z), a, len(f), len(f))
     scaled = back @ slope[:, None]
-    residual = np.einsum("samn,sn->sam", back, f - predicted)
+    residual = np.einsum("samn,sn->sam", back, comparison.residuals(predicted))
     fisher = np.swapaxes(scaled, 2, 3) @ scaled
     gradient = np.einsum("sami,sam->sai", scaled, residual) - z[:, None, free]
     inverse = np.linalg.inv(fisher + np.eye(len(free)))
@@ -163,7 +163,8 @@ def _refitted(comparison: LogDensity, z: Array, amplitudes: Array) -> tuple[Arra
     # a step may lead where the plate buckles
     inside, new, _ = comparison.predict_inside(comparison.scores.to_x(moved.reshape(len(z) * a, -1)))
     again = np.full((len(z) * a, len(f)), np.inf)
-    again[inside] = np.einsum("mij,mj->mi", back.reshape(-1, *back.shape[2:])[inside], f - new)
+    left = comparison.residuals(new)
+    again[inside] = np.einsum("mij,mj->mi", back.reshape(-1, *back.shape[2:])[inside], left)
     before, after = np.sum(residual**2, axis=2), np.sum(again**2, axis=1).reshape(len(z), a)
     after = np.where(np.isfinite(after), after, np.inf)
     return np.minimum(before, after), np.einsum("saij,saji->sa", inverse, fisher)

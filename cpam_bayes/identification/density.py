@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -144,7 +145,8 @@ def lists_density(
     specimen and are common to its tests; the frequency scale, of one analyser, is common to all lists.
 
     at : (l, n) constants of each list, where its covariance is taken. A misfit there that the stated noise
-        does not explain widens it, by Birge's ratio.
+        does not explain widens it, by Birge's ratio: of the list alone, or beside the others, with which it
+        has the errors of sizes in common.
     scatter_sd : relative standard deviation of a constant from specimen to specimen
     """
     unknowns, n = lists[0][0].unknowns, at.shape[1]
@@ -161,43 +163,67 @@ def lists_density(
         if several:
             parameters += [deviation(p, name, scatter_sd) for p in unknowns.parameters]
     composed = ParameterSet(tuple(parameters), unknowns.fixed)
-    parts, variance, scale, amplitudes, predicted = [], [], [], [], []
-    excess = np.ones(len(lists))
+    parts, by_model, noise, left, scale, amplitudes = [], [], [], [], [], []
     errors: list[tuple[str, int, dict[str, Array]]] = []
     for i, ((specimen, model), m, x) in enumerate(zip(lists, measurements, at, strict=True)):
         constants = dict(zip(model.full.parameters.names, x.tolist(), strict=True))
         own = common_errors(specimen, model.full, constants, list_order(model, x)[: m.size])
         errors.append((specimen.specimen, m.size, own))
         f, is_stated = m.frequencies, m.relative_std is not None or m.frequency_sd is not None
-        by_model, noise = (f * scatter(specimen, model, x)[: m.size]) ** 2, noise_variance(m, 0.0)
-        # an error of a size changes what is predicted: in the pattern of the list it would feed on residuals
-        predicted.append(model.predict(x[None]).frequencies[0, : m.size])
-        if is_stated:
-            j = predicted[-1] * np.stack(list(own.values()))
-            left = f - predicted[-1]
-            white = np.linalg.solve(np.linalg.cholesky(j.T @ j + np.diag(by_model + noise)), left)
-            # tests of a specimen share its constants: each fits a part of them
-            fitted = math.ceil(n * m.size / size_of[specimen.specimen])
-            excess[i] = birge_ratio(np.asarray(white, dtype=np.float64), fitted)
-        else:
+        by_model.append((f * scatter(specimen, model, x)[: m.size]) ** 2)
+        noise.append(noise_variance(m, 0.0))
+        left.append(f * np.log(f / model.predict(x[None]).frequencies[0, : m.size]))
+        if not is_stated:
             parameters.append(_noise_of([s.name for s, _ in lists], i))
         amplitudes.append(-1 if is_stated else len(parameters) - 1)
-        variance.append(by_model + excess[i] ** 2 * noise)
         scale.append(np.zeros(m.size) if is_stated else f)
         parts.append(Part(model, np.arange(n), column_of[specimen.specimen], (), np.arange(m.size)))
-    changed = np.concatenate(predicted)
+    frequencies = np.concatenate([m.frequencies for m in measurements])
+    common = np.outer(frequencies, frequencies) * common_covariance(errors)
+    # tests of a specimen share its constants: each fits a part of them
+    fitted = [math.ceil(n * m.size / size_of[s]) for s, m in zip(specimens, measurements, strict=True)]
+    alone = [m + own for m, own in zip(by_model, noise, strict=True)]
+    excess = _excess(left, alone, common, fitted, [column < 0 for column in amplitudes])
     listed = Listed(
-        np.concatenate([m.frequencies for m in measurements]),
-        np.concatenate(variance),
+        frequencies,
+        np.concatenate([m + e**2 * own for m, e, own in zip(by_model, excess, noise, strict=True)]),
         np.concatenate(scale),
         lists=np.repeat(np.arange(len(lists)), [m.size for m in measurements]),
-        common=np.outer(changed, changed) * common_covariance(errors),
+        common=common,
     )
     every = ParameterSet(tuple(parameters), unknowns.fixed)
     together = ComposedModel(composed, tuple(parts))
     return LogDensity(
         together, listed, every, NormalScores(every), tuple(amplitudes), discrepancy=None
     ), excess
+
+
+def _excess(
+    residuals: Sequence[Array],
+    variance: Sequence[Array],
+    common: Array,
+    fitted: Sequence[int],
+    is_stated: Sequence[bool],
+) -> Array:
+    """Misfit of each list in times of its stated noise, (l,); 1 where that explains it, or none is stated.
+
+    residuals, variance : of each list, Hz, and Hz^2 by its noise and model. common : covariance of all
+    frequencies by what they have in common, Hz^2
+    """
+    ends = np.cumsum([0, *map(len, residuals)]).tolist()
+    rows = [np.arange(a, b) for a, b in pairwise(ends)]
+    stated = np.concatenate([r for r, known in zip(rows, is_stated, strict=True) if known] or [rows[0][:0]])
+    own, every = np.concatenate(variance), np.concatenate(residuals)
+    covariance = common[np.ix_(stated, stated)] + np.diag(own[stated])
+    # less what the lists, one with the other, say of their common errors
+    beside = np.zeros_like(every)
+    beside[stated] = np.sqrt(own[stated]) * np.linalg.solve(covariance, every[stated])
+    excess = np.ones(len(rows))
+    for i in np.flatnonzero(is_stated).tolist():
+        of = rows[i]
+        root = np.linalg.cholesky(common[np.ix_(of, of)] + np.diag(own[of]))
+        excess[i] = max(birge_ratio(e, fitted[i]) for e in (np.linalg.solve(root, every[of]), beside[of]))
+    return excess
 
 
 def deviation(parameter: Parameter, specimen: str, sd: float) -> Parameter:

@@ -90,9 +90,9 @@ def kept_of(whole: Array, listed: Array) -> Array:
 class LogDensity:
     """The log density of lists under a model, over its parameters or their normal scores.
 
-    Residuals are Gaussian with the covariance diag(sigma^2) + C + tau^2 F R F: C of what the frequencies have
-    in common, F = diag(f) and R the correlation of a discrepancy between the model and the plate (Kennedy
-    and O'Hagan, J. R. Statist. Soc. B 63, 2001).
+    `residuals` are Gaussian with the covariance diag(sigma^2) + C + tau^2 F R F: C of what the frequencies
+    have in common, F = diag(f) and R the correlation of a discrepancy between the model and the plate
+    (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001).
 
     parameters : those of the model, then those of the noise.
     amplitudes : column of each list's repeatability, -1 where it is given.
@@ -203,9 +203,17 @@ class LogDensity:
             covariance = covariance + x[:, self.discrepancy, None, None] ** 2 * self._discrepant
         return np.asarray(covariance)
 
+    def residuals(self, f: Array) -> Array:
+        """Those of predictions f (m, n_f): f_listed ln(f_listed / f), Hz.
+
+        An error that all frequencies have in common is then a factor of them, also where the model is far
+        off: in differences it would draw the list together, and the misfit with it.
+        """
+        return np.asarray(self.listed.frequencies * np.log(self.listed.frequencies / f))
+
     def misfit(self, x: Array, f: Array) -> Array:
         """r^T S^-1 r of the residuals of predictions (m, n_f) at parameters (m, n), (m,)."""
-        white, _ = _whitened(self.listed.frequencies - f, self.covariance(x))
+        white, _ = _whitened(self.residuals(f), self.covariance(x))
         return np.asarray(np.sum(white**2, axis=1))
 
     def common_part(self, z: Array) -> Array:
@@ -214,7 +222,7 @@ class LogDensity:
         C S^-1 r, C the covariance of what they have in common and S that of all.
         """
         x = self.scores.to_x(z)
-        r = self.listed.frequencies - self.predict(x)[0]
+        r = self.residuals(self.predict(x)[0])
         if self.listed.common is None:
             return np.zeros_like(r)
         return np.asarray(np.linalg.solve(self.covariance(x), r[..., None])[..., 0] @ self.listed.common)
@@ -224,7 +232,7 @@ class LogDensity:
         value = np.full(len(x), -np.inf)
         inside, f, _ = self.predict_inside(x)
         if len(inside):
-            r = self.listed.frequencies - f
+            r = self.residuals(f)
             if self._is_correlated:
                 value[inside] = self._correlated(r, self.covariance(x[inside]))[0]
             else:
@@ -241,7 +249,7 @@ class LogDensity:
         value = np.full((len(x), len(self.listed.frequencies)), np.nan)
         inside, f, _ = self.predict_inside(x)
         if len(inside):
-            r = self.listed.frequencies - f
+            r = self.residuals(f)
             precision = np.linalg.inv(self.covariance(x[inside]))
             own = np.diagonal(precision, axis1=1, axis2=2)
             off = np.einsum("mij,mj->mi", precision, r) / own
@@ -262,7 +270,7 @@ class LogDensity:
             assert slope is not None
             expand = self._expand_correlated if self._is_correlated else self._expand_independent
             value[inside], gradient[inside], curvature[inside] = expand(
-                x[inside], self.listed.frequencies - f, slope
+                x[inside], self.residuals(f), slope * (self.listed.frequencies / f)[..., None]
             )
         return self.scores.with_prior(Expansion(value, gradient, curvature), x, z)
 

@@ -105,8 +105,8 @@ def test_a_cause_is_named_with_its_size_its_fit_and_its_gain(monkeypatch: pytest
 
 
 def exact_evidences(f: Array, *causes: tuple[Array, float]) -> Array:
-    """Of the linear plate with its whole list, then without each frequency."""
-    slope = np.column_stack([SD * A, *(sd * d for d, sd in causes)]) * F0[:, None]
+    """Of the toy plate with its whole list, then without each frequency."""
+    slope = np.column_stack([SD * A, *(sd * d for d, sd in causes)]) * f[:, None]
     covariance = slope @ slope.T + np.diag((NOISE * f) ** 2)
     lists = [np.ones(8, dtype=bool), *(np.arange(8) != i for i in range(8))]
     return np.array([log_normal_density(f[k], F0[k], covariance[np.ix_(k, k)]) for k in lists])

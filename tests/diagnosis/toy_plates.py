@@ -65,16 +65,17 @@ def plate_model(
     parameter: Parameter | None = None,
     constants: ParameterSet = CONSTANTS,
 ) -> ToyModel:
-    """f = F0 (1 + A (c - 1) + g(t)) with g and its derivative by ``shift``: (m,) -> (m, n) each."""
+    """ln f = ln F0 + A (c - 1) + g(t) with g and its derivative by ``shift``: (m,) -> (m, n) each."""
 
     def function(x: Array) -> tuple[Array, Array]:
-        relative = 1.0 + (x[:, :2] - 1.0) @ A[:n].T
+        relative = (x[:, :2] - 1.0) @ A[:n].T
         slope = np.broadcast_to(A[:n], (len(x), n, 2))
         if shift is not None:
             g, dg = shift(x[:, 2])
             relative = relative + g[:, :n]
             slope = np.concatenate((slope, dg[:, :n, None]), axis=2)
-        return F0[:n] * relative, F0[:n, None] * slope
+        f = F0[:n] * np.exp(relative)
+        return f, f[..., None] * slope
 
     own = constants if parameter is None else constants.union(ParameterSet((parameter,)))
     return ToyModel(own, function)
@@ -93,12 +94,12 @@ def even(direction: Array) -> Callable[[Array], tuple[Array, Array]]:
 def stepped(case: PlateCase, name: str, shift: Array) -> Hypothesis:
     """A cause without a size, one relative shift, which this plate may have."""
     effect = replace(cause(name, whole_normal(1.0)), parameters=())
-    slope = F0[:, None] * A
-    model = ToyModel(
-        CONSTANTS,
-        lambda x: (F0 * (1.0 + shift) + (x - 1.0) @ slope.T, np.broadcast_to(slope, (len(x), *slope.shape))),
-    )
-    case.extended[name, ""] = model  # type: ignore[assignment]
+
+    def function(x: Array) -> tuple[Array, Array]:
+        f = F0 * np.exp((x - 1.0) @ A.T + shift)
+        return f, f[..., None] * A
+
+    case.extended[name, ""] = ToyModel(CONSTANTS, function)  # type: ignore[assignment]
     return hypothesis(effect, 0.1)
 
 
@@ -158,7 +159,7 @@ SHIFTS = {
 
 def measured(shift: Array | float = 0.0, noise: float = NOISE) -> Array:
     """Frequencies of constants 3 % above and 4 % below their means, shifted, with a draw of noise."""
-    return np.asarray(F0 * (1.0 + A @ [0.03, -0.04] + shift) * (1.0 + noise * SCATTER))
+    return np.asarray(F0 * np.exp(A @ [0.03, -0.04] + shift) * (1.0 + noise * SCATTER))
 
 
 def a_list(f: Array, relative: float | None, resolution: float = 0.0) -> Measurement:
@@ -204,8 +205,9 @@ def with_causes(f: Array, *effects: Effect, relative: float | None = NOISE, name
     return case(a_list(f, relative), [(e, SHIFTS[e.name]) for e in effects], name=name)
 
 
-def log_normal_density(x: Array, mean: Array, covariance: Array) -> float:
-    away = x - mean
+def log_normal_density(f: Array, mean: Array, covariance: Array) -> float:
+    """Of a list whose logarithms are normal about those of ``mean``; covariance of f ln(f / mean), Hz^2."""
+    away = f * np.log(f / mean)
     return float(
         -0.5 * away @ np.linalg.solve(covariance, away) - 0.5 * np.linalg.slogdet(2 * np.pi * covariance)[1]
     )
@@ -214,9 +216,9 @@ def log_normal_density(x: Array, mean: Array, covariance: Array) -> float:
 def exact_log_evidence(
     f: Array, sigma: Array, *causes: tuple[Array, float], mean: Array | None = None
 ) -> float:
-    """Of the linear plate with normal priors and shifts direction * t, t normal with a standard deviation."""
+    """Of the toy plate with normal priors and shifts direction * t, t normal with a standard deviation."""
     n = len(f)
-    slope = np.column_stack([SD * A[:n], *(sd * d[:n] for d, sd in causes)]) * F0[:n, None]
+    slope = np.column_stack([SD * A[:n], *(sd * d[:n] for d, sd in causes)]) * f[:, None]
     centre = F0[:n] if mean is None else mean
     return log_normal_density(f, centre, slope @ slope.T + np.diag(sigma**2))
 

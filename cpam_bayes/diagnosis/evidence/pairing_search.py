@@ -151,8 +151,9 @@ def _maximised(
             chosen, used = index[rows[inside]], mask[rows[inside]]
             f = np.take_along_axis(f, chosen, axis=1)
             slope = np.take_along_axis(slope, chosen[..., None], axis=1)
+            slope = slope * (plain.listed.frequencies / f)[..., None]
             variance = plain.variance(x[inside])
-            r = np.where(used, plain.listed.frequencies - f, 0.0)
+            r = np.where(used, plain.residuals(f), 0.0)
             value[inside] = -0.5 * np.sum(r**2 / variance, axis=1)
             gradient[inside] = np.einsum("mi,mij->mj", r / variance, slope)
             weighted = np.where(used, 1.0 / np.sqrt(variance), 0.0)[..., None] * slope
@@ -170,7 +171,7 @@ def _over_noise(plain: LogDensity, wide: LogDensity, z: Array, index: Array, mas
     """Log density of each fit at the best amplitude of an inferred noise, (m,)."""
     n_model = plain.model.parameters.size
     f = np.take_along_axis(wide.predict(plain.scores.to_x(z))[0], index, axis=1)
-    r2 = np.where(mask, (plain.listed.frequencies - f) ** 2, 0.0)
+    r2 = np.where(mask, plain.residuals(f) ** 2, 0.0)
     best = np.full(len(z), -np.inf)
     for score in _NOISE_SCORES if plain.parameters.size > n_model else np.zeros(1):
         at = z.copy()

@@ -448,8 +448,9 @@ def _linear(marginal: Marginal) -> list[_Linear]:
     assert slope is not None
     a = (comparison.scores.by_score(slope, x, z)[0] / f[0][:, None])[:, :n_model]
     residual = np.log(comparison.listed.frequencies / f[0]) + a @ z[0, :n_model]
+    squared = np.outer(comparison.listed.frequencies, comparison.listed.frequencies)
     for at in scores:
-        covariance = comparison.covariance(comparison.scores.to_x(at))[0] / np.outer(f[0], f[0]) + a @ a.T
+        covariance = comparison.covariance(comparison.scores.to_x(at))[0] / squared + a @ a.T
         root = np.linalg.inv(np.linalg.cholesky(covariance))
         log_constant = float(np.log(np.diagonal(root)).sum())
         linear.append(_Linear(root @ residual, root, a.T @ root.T, log_constant))

@@ -81,9 +81,9 @@ def test_a_frequency_given_the_others_is_the_ratio_of_two_densities(comparison: 
     for i in range(len(listed)):
         others = np.delete(np.arange(len(listed)), i)
         expected = [
-            multivariate_normal.logpdf(listed, mean, own)
-            - multivariate_normal.logpdf(listed[others], mean[others], own[np.ix_(others, others)])
-            for mean, own in zip(f, covariance, strict=True)
+            multivariate_normal.logpdf(away, cov=own)
+            - multivariate_normal.logpdf(away[others], cov=own[np.ix_(others, others)])
+            for away, own in zip(listed * np.log(listed / f), covariance, strict=True)
         ]
         np.testing.assert_allclose(comparison.log_conditional(x)[:, i], expected, rtol=1e-9)
 
@@ -96,7 +96,8 @@ def test_the_curvature_is_the_mean_of_the_gradients_square_over_lists(comparison
     f = comparison.predict(x)[0]
     residuals = rng.standard_normal((m, f.shape[1])) @ np.linalg.cholesky(comparison.covariance(x)[0]).T
     # scale and discrepancy stay those of the list that was measured: only the residuals are drawn
-    drawn = replace(comparison, model=_Moved(comparison.model, comparison.listed.frequencies - f - residuals))
+    listed = comparison.listed.frequencies
+    drawn = replace(comparison, model=_Moved(comparison.model, listed * np.exp(-residuals / listed) - f))
     gradients = drawn.expand(np.repeat(z, m, axis=0)).gradient + z
     information = np.cov(gradients.T)
     expected = comparison.expand(z).curvature[0] - np.eye(z.shape[1])
@@ -127,9 +128,9 @@ class _Moved:
 def test_the_likelihood_is_a_product_of_gaussians_with_the_noise_of_the_list() -> None:
     comparison = compared(None)
     x = np.array([[1.02, 0.97, 0.1, 0.004]])
-    f = F0 * (1.0 + A @ [0.02, -0.03] + 0.01 * BUMP)
+    f = F0 * np.exp(A @ [0.02, -0.03] + 0.01 * BUMP)
     sigma = np.sqrt((0.004 * NOISY) ** 2 + 1.0 / 12)
-    expected = norm.logpdf(NOISY, f, sigma).sum()
+    expected = norm.logpdf(NOISY * np.log(NOISY / f), 0.0, sigma).sum()
     assert comparison.log_likelihood(x)[0] == pytest.approx(expected, rel=1e-12)
 
 
@@ -146,7 +147,8 @@ def test_the_likelihood_is_that_of_the_covariance(comparison: LogDensity) -> Non
     x = comparison.scores.to_x(scores(comparison))
     f, covariance = comparison.predict(x)[0], comparison.covariance(x)
     listed = comparison.listed.frequencies
-    expected = [multivariate_normal.logpdf(listed, mean, c) for mean, c in zip(f, covariance, strict=True)]
+    away = listed * np.log(listed / f)
+    expected = [multivariate_normal.logpdf(r, cov=c) for r, c in zip(away, covariance, strict=True)]
     np.testing.assert_allclose(comparison.log_likelihood(x), expected, rtol=1e-9)
     diagonal = np.diagonal(covariance, axis1=1, axis2=2)
     np.testing.assert_allclose(comparison.variance(x), diagonal, rtol=1e-12)
@@ -211,7 +213,7 @@ def test_a_frequency_left_out_takes_its_own_factor_away_and_no_other() -> None:
     z = scores(whole)
     x = whole.scores.to_x(z)
     f, sigma = whole.predict(x)[0][:, i], np.sqrt(whole.variance(x)[:, i])
-    expected = norm.logpdf(NOISY[i], f, sigma)
+    expected = norm.logpdf(NOISY[i] * np.log(NOISY[i] / f), 0.0, sigma)
     np.testing.assert_allclose(whole.log_likelihood(x) - less.log_likelihood(x), expected, rtol=1e-9)
 
 
@@ -222,7 +224,7 @@ def test_a_false_peak_lies_anywhere_below_the_last_frequency() -> None:
     x = np.ones((1, 2))
     kept = np.delete(NOISY, 3)
     # frequencies above it belong to one mode less
-    expected = norm.logpdf(kept, F0[:7], 0.003 * kept).sum() - np.log(NOISY[-1])
+    expected = norm.logpdf(kept * np.log(kept / F0[:7]), 0.0, 0.003 * kept).sum() - np.log(NOISY[-1])
     assert comparison.log_likelihood(x)[0] == pytest.approx(expected, rel=1e-12)
 
 

@@ -43,13 +43,13 @@ def weighed(comparison: LogDensity, sizes: tuple[int, ...] = (2,), least: float 
 
 
 def by_quadrature(f: np.ndarray, noise: float, prior: Prior, shape: np.ndarray) -> float:
-    """Log evidence of f = F0 (1 + A c + shape t^2): the constants in closed form, t by 20001 points."""
+    """Log evidence of ln f = ln F0 + A c + shape t^2: the constants in closed form, t by 20001 points."""
     t = np.linspace(prior.lower, prior.upper, 20001)
-    slope = SD * A * F0[:, None]
+    slope = SD * A * f[:, None]
     covariance = slope @ slope.T + np.diag((noise * f) ** 2)
-    means = F0 * (1.0 + t[:, None] ** 2 * shape)
+    means = F0 * np.exp(t[:, None] ** 2 * shape)
     factor = np.linalg.cholesky(np.linalg.inv(covariance))
-    z = (f - means) @ factor
+    z = f * np.log(f / means) @ factor
     log_p = -0.5 * np.sum(z**2, axis=1) - 0.5 * np.linalg.slogdet(2 * np.pi * covariance)[1]
     log_p = log_p + prior.log_density(t)
     weight = np.full(len(t), t[1] - t[0])
@@ -68,9 +68,9 @@ def test_without_an_effect_a_linear_model_has_its_exact_evidence() -> None:
 def test_moments_of_a_linear_model_are_those_of_the_gaussian() -> None:
     f = measured(np.zeros(8))
     comparison = comparison_of([case(a_list(f, NOISE))], PLAIN)
-    slope = A * F0[:, None] / (NOISE * f)[:, None]
+    slope = A / NOISE
     covariance = np.linalg.inv(slope.T @ slope + np.eye(2) / SD**2)
-    expected = 1.0 + covariance @ slope.T @ ((f - F0) / (NOISE * f))
+    expected = 1.0 + covariance @ slope.T @ np.log(f / F0) / NOISE
     sd = np.sqrt(np.diag(covariance))
     laplace = weighed(comparison, ())
     for found, near in ((laplace, 0.01), (sampled_marginal(laplace), 0.03)):
@@ -127,16 +127,16 @@ def test_an_even_effect_has_both_its_peaks_in_the_evidence(size: float, prior: P
 
 @pytest.mark.parametrize("size", [-0.02, 0.0, 0.05])
 def test_a_one_sided_effect_may_pile_up_at_zero(size: float) -> None:
-    """f = F0 (1 + A c + bump t), t >= 0, where the data may ask for a negative t."""
+    """ln f = ln F0 + A c + bump t, t >= 0, where the data may ask for a negative t."""
     prior = ScaledStudentT(0.02, 4.0, 0.0, 0.16)
     f = measured(size * BUMP)
     dust = cause("dust", prior)
     comparison = comparison_of([case(a_list(f, NOISE), [(dust, straight(BUMP))])], hypothesis(dust, 0.1))
     # a likelihood that falls from zero on may do so within 1e-4
     t = np.concatenate(([0.0], np.geomspace(1e-7, 0.16, 4000)))
-    slope = SD * A * F0[:, None]
+    slope = SD * A * f[:, None]
     covariance = slope @ slope.T + np.diag((NOISE * f) ** 2)
-    log_p = np.array([log_normal_density(f, F0 * (1.0 + v * BUMP), covariance) for v in t])
+    log_p = np.array([log_normal_density(f, F0 * np.exp(v * BUMP), covariance) for v in t])
     log_p = log_p + prior.log_density(t)
     weight = np.exp(log_p - log_p.max())
     total = np.trapezoid(weight, t)

@@ -45,7 +45,7 @@ MISSED, FALSE = 0.1, 0.1
 
 def measured(shift: Array, lacks: tuple[int, ...] = (3,), false: tuple[float, ...] = (555.0,)) -> Array:
     """A list without some modes and with false peaks, Hz."""
-    f = F0 * (1.0 + A @ [0.03, -0.04] + shift) * (1.0 + NOISE * SCATTER)
+    f = F0 * np.exp(A @ [0.03, -0.04] + shift) * (1.0 + NOISE * SCATTER)
     return np.sort(np.append(np.delete(f, lacks), false))
 
 
@@ -92,7 +92,7 @@ def exact(f: Array, cause: str, labels: dict[int, int] | None = None) -> float:
         if cause in SHIFTS:
             direction, sd = SHIFTS[cause]
             slope = np.column_stack((slope, sd * direction[modes]))
-        slope = slope * F0[modes, None]
+        slope = slope * f[kept, None]
         density = log_normal_density(f[kept], F0[modes], slope @ slope.T + np.diag((NOISE * f[kept]) ** 2))
         values.append(
             density
