@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.container import BarContainer, ErrorbarContainer
+from matplotlib.patches import Rectangle
 
 from cpam_bayes.answer import Notice, Reliance, Verdict
 from cpam_bayes.diagnosis.answers.detectability import Detectable
 from cpam_bayes.diagnosis.hypotheses import Claim
 from cpam_bayes.diagnosis.next_test import Candidate
-from cpam_bayes.effects import CATALOGUE
+from cpam_bayes.effects import CATALOGUE, ListChange
 from cpam_bayes.questions.diagnose import claim_sentence, diagnosis_result
 from cpam_bayes.questions.diagnose.document import (
     absorbed_biases,
@@ -452,21 +453,26 @@ def found_mass(d, edges="FFFF"):
     mass = next(e for e in CATALOGUE if e.local == "point")
     where = [replace(p, prior=replace(p.prior, lower=0.5)) for p in mass.parameters[1:3]]
     effect = replace(mass, parameters=(mass.parameters[0], *where, mass.parameters[3]))
-    values = dict(zip((p.name for p in effect.parameters), (0.005, 0.8, 0.6, 0.006), strict=True))
+    return found(d, replace(effect, variant="or its mirror images"), (0.005, 0.8, 0.6, 0.006))
+
+
+def found(d, effect, values):
+    """A diagnosis that claims an effect with these values of its parameters, each to 2 %."""
     cause = replace(
         d.causes[0],
-        name=mass.name,
-        variant="or its mirror images",
-        parameters={name: (value, 0.02 * value, "") for name, value in values.items()},
+        name=effect.name,
+        variant=effect.variant,
+        parameters={p.name: (v, 0.02 * v, "") for p, v in zip(effect.parameters, values, strict=True)},
         hypothesis=replace(
             d.causes[0].hypothesis,
-            cause=mass.name,
+            cause=effect.name,
             effects=(effect,),
             unmodelled=(),
+            listed=ListChange(),
             parameters=effect.parameters,
         ),
     )
-    return with_causes(d, (cause, *d.causes[1:]), Claim("named", (mass.name,), 0.996))
+    return with_causes(d, (cause, *d.causes[1:]), Claim("named", (effect.name,), 0.996))
 
 
 def test_a_mass_is_told_and_drawn_where_it_was(misread):
@@ -482,6 +488,21 @@ def test_a_mass_is_told_and_drawn_where_it_was(misread):
         (round(px), round(py)) for px in (x, 1e3 * plate.length - x) for py in (y, 1e3 * plate.width - y)
     }
     assert {(round(px), round(py)) for px, py in dots} == images
+
+
+def test_a_missing_corner_is_told_and_drawn_with_its_images(misread):
+    (outline,) = (e for e in CATALOGUE if e.drawn == "corner")
+    d = found(misread, outline, (0.002,))
+    assert "Corner missing, 0.2000 +- 0.0040 % of the area (at x = length, y = width" in claim_sentence(d)
+    result = diagnosis_result(d, 0)
+    squares = [p for p in result.plot().subfigs[0].axes[0].patches if isinstance(p, Rectangle)]
+    plate = d.cases[0].models.specimen.plate
+    a, b = 1e3 * plate.length, 1e3 * plate.width
+    side = 0.06 * min(a, b)
+    found_at = [p.get_xy() for p in squares if p.get_width() == pytest.approx(side)]
+    assert found_at[0] == pytest.approx((a - side, b - side))
+    corners = {(round(x), round(y)) for x in (0.0, a - side) for y in (0.0, b - side)}
+    assert {(round(x), round(y)) for x, y in found_at} == corners
 
 
 def test_bars_are_the_relative_residuals_before_and_after_with_their_noise(misread, figures):
