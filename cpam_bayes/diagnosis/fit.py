@@ -147,7 +147,8 @@ def _refitted(comparison: LogDensity, z: Array, amplitudes: Array) -> tuple[Arra
     x = comparison.scores.to_x(z)
     predicted, jacobian = comparison.predict(x, jacobian=True)
     assert jacobian is not None
-    slope = comparison.scores.by_score(jacobian, x, z)[:, :, free] * (f / predicted)[..., None]
+    slopes = comparison.residual_slopes(predicted, jacobian)
+    slope = comparison.scores.by_score(slopes, x, z)[:, :, free]
     at = np.repeat(x[:, None], a, axis=1)
     if comparison.noise is not None:
         at[:, :, [c for c in comparison.amplitudes if c >= 0]] = amplitudes[:, None]

@@ -84,8 +84,7 @@ class Hypothesis:
     @property
     def may_repeat(self) -> bool:
         """Whether there may be two of it: masses and flaws at two places, two misread frequencies."""
-        is_somewhere = bool(self.listed.misread) or all(e.is_anywhere for e in self.effects)
-        return len(self.records) == 1 and is_somewhere and not self.listed.changes_pairing
+        return len(self.records) == 1 and (bool(self.listed.misread) or self.records[0].is_anywhere)
 
     @property
     def has_leftover(self) -> bool:

@@ -14,7 +14,7 @@ BEGIN, END = "<!-- catalogue -->", "<!-- end of the catalogue -->"
 _HEAD = ("cause", "what it is", "of the", "1 sd", "up to", "how it enters")
 
 
-def catalogue_tables(effects: Sequence[Effect] = CATALOGUE) -> str:
+def catalogue_table(effects: Sequence[Effect] = CATALOGUE) -> str:
     """A Markdown table: a cause a row, with its prior and how it enters."""
     return _table(_HEAD, map(_row, effects))
 
@@ -48,4 +48,4 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 if __name__ == "__main__":
     page = Path(sys.argv[1])
     before, _, rest = page.read_text(encoding="utf-8").partition(BEGIN)
-    page.write_text(f"{before}{BEGIN}\n{catalogue_tables()}\n{END}{rest.partition(END)[2]}", encoding="utf-8")
+    page.write_text(f"{before}{BEGIN}\n{catalogue_table()}\n{END}{rest.partition(END)[2]}", encoding="utf-8")

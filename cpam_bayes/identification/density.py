@@ -22,7 +22,7 @@ from cpam_bayes.forward_model.labels import LabelledModel, list_order
 from cpam_bayes.forward_model.preconditions import birge_ratio
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.inference.derivatives import NormalScores
-from cpam_bayes.inference.log_density import Listed, LogDensity
+from cpam_bayes.inference.log_density import Listed, LogDensity, log_residuals
 from cpam_bayes.inference.posterior import NOISE, NOISE_PRIOR
 from cpam_bayes.inference.proposal import (
     Optima,
@@ -172,7 +172,7 @@ def lists_density(
         f, is_stated = m.frequencies, m.relative_std is not None or m.frequency_sd is not None
         by_model.append((f * scatter(specimen, model, x)[: m.size]) ** 2)
         noise.append(noise_variance(m, 0.0))
-        left.append(f * np.log(f / model.predict(x[None]).frequencies[0, : m.size]))
+        left.append(log_residuals(f, model.predict(x[None]).frequencies[0, : m.size]))
         if not is_stated:
             parameters.append(_noise_of([s.name for s, _ in lists], i))
         amplitudes.append(-1 if is_stated else len(parameters) - 1)

@@ -86,6 +86,11 @@ def kept_of(whole: Array, listed: Array) -> Array:
     return kept
 
 
+def log_residuals(listed: Array, f: Array) -> Array:
+    """Residuals of the logarithms of listed frequencies (n,) at predictions f (..., n), in Hz of the list."""
+    return np.asarray(listed * np.log(listed / f))
+
+
 @dataclass(frozen=True, slots=True)
 class LogDensity:
     """The log density of lists under a model, over its parameters or their normal scores.
@@ -209,7 +214,11 @@ class LogDensity:
         An error that all frequencies have in common is then a factor of them, also where the model is far
         off: in differences it would draw the list together, and the misfit with it.
         """
-        return np.asarray(self.listed.frequencies * np.log(self.listed.frequencies / f))
+        return log_residuals(self.listed.frequencies, f)
+
+    def residual_slopes(self, f: Array, slope: Array) -> Array:
+        """Derivatives of predictions (..., n_f), (..., n_f, n), as minus those of their residuals."""
+        return np.asarray(slope * (self.listed.frequencies / f)[..., None])
 
     def misfit(self, x: Array, f: Array) -> Array:
         """r^T S^-1 r of the residuals of predictions (m, n_f) at parameters (m, n), (m,)."""
@@ -270,7 +279,7 @@ class LogDensity:
             assert slope is not None
             expand = self._expand_correlated if self._is_correlated else self._expand_independent
             value[inside], gradient[inside], curvature[inside] = expand(
-                x[inside], self.residuals(f), slope * (self.listed.frequencies / f)[..., None]
+                x[inside], self.residuals(f), self.residual_slopes(f, slope)
             )
         return self.scores.with_prior(Expansion(value, gradient, curvature), x, z)
 

@@ -18,7 +18,7 @@ import pytest
 
 from cpam_bayes.effects import CATALOGUE, Effect, applicable, extend, scale_of, variants
 from cpam_bayes.effects.effect import GROSS_FRACTION
-from cpam_bayes.effects.table import BEGIN, END, catalogue_tables
+from cpam_bayes.effects.table import BEGIN, END, catalogue_table
 from cpam_bayes.forward_model.model import PlateModel, constant_parameters, plate_problem
 from cpam_bayes.mechanics.affine import AffineOperator
 from cpam_bayes.mechanics.dense import MATRICES
@@ -467,4 +467,4 @@ def test_the_example_of_an_effect_raises_frequencies_alike_on_both_discretisatio
 
 def test_the_page_holds_the_tables_of_the_catalogue() -> None:
     """``python -m cpam_bayes.effects.table docs/effects.md`` writes them."""
-    assert f"{BEGIN}\n{catalogue_tables()}\n{END}" in PAGE
+    assert f"{BEGIN}\n{catalogue_table()}\n{END}" in PAGE

@@ -13,7 +13,7 @@ import pytest
 
 from cpam_bayes.effects import CATALOGUE, Effect, PlateFacts, extend
 from cpam_bayes.effects.effect import one_sided, stacked
-from cpam_bayes.effects.table import catalogue_tables
+from cpam_bayes.effects.table import catalogue_table
 from cpam_bayes.mechanics.affine import ONE, Bell, Product
 from cpam_bayes.mechanics.fem import discretise_sparse, fem_space
 from cpam_bayes.mechanics.modes import solve
@@ -95,9 +95,9 @@ def test_these_are_the_claims_of_the_contract() -> None:
 
 
 def test_the_page_gets_its_rows() -> None:
-    text = catalogue_tables(CATALOGUE_WITH_FOAM)
+    text = catalogue_table(CATALOGUE_WITH_FOAM)
     assert "| foam | foam strip under an edge | test | 0.1 kN/m2/mm | 0.5 kN/m2/mm |" in text
-    assert text.startswith(catalogue_tables()[:1000])
+    assert text.startswith(catalogue_table()[:1000])
 
 
 # The diagnosis

@@ -151,7 +151,7 @@ def _maximised(
             chosen, used = index[rows[inside]], mask[rows[inside]]
             f = np.take_along_axis(f, chosen, axis=1)
             slope = np.take_along_axis(slope, chosen[..., None], axis=1)
-            slope = slope * (plain.listed.frequencies / f)[..., None]
+            slope = plain.residual_slopes(f, slope)
             variance = plain.variance(x[inside])
             r = np.where(used, plain.residuals(f), 0.0)
             value[inside] = -0.5 * np.sum(r**2 / variance, axis=1)

@@ -504,8 +504,7 @@ def misfit_probability(marginal: Marginal) -> float:
     f, slope = comparison.predict(x, jacobian=True)
     assert slope is not None
     root = np.linalg.inv(np.linalg.cholesky(comparison.covariance(x)[0]))
-    slope = slope * (comparison.listed.frequencies / f)[..., None]
-    a = root @ comparison.scores.by_score(slope, x, z)[0, :, :n_model]
+    a = root @ comparison.scores.by_score(comparison.residual_slopes(f, slope), x, z)[0, :, :n_model]
     values = np.linalg.eigvalsh(a.T @ a)
     used = float(np.sum(values / (values + 1.0)))
     t = float(np.sum((root @ comparison.residuals(f)[0]) ** 2))

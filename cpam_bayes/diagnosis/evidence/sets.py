@@ -13,7 +13,7 @@ unaccounted for, and the search goes on while that is more than a hundredth.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -335,15 +335,21 @@ class _SetSearch:
         for t in self.causes:
             if t.hypothesis.effects:
                 leaders.setdefault(t.hypothesis.cause, t)
+        of_plates: dict[tuple[int, ...], list[Hypothesis]] = {}
+        for error, plates in errors:
+            of_plates.setdefault(plates, []).append(error)
+        couples = [
+            (t, [(t.hypothesis, error) for error in of_plates.get(t.plates, ())])
+            for t in list(leaders.values())[: SETS.with_list_errors]
+        ]
+        for plates, each in of_plates.items():
+            misread = combinations([error for error in each if error.may_repeat], 2)
+            couples.append((replace(scan.tested[0], plates=plates), [(a, repeated(b)) for a, b in misread]))
         items = [
             (tuple(scan.cases), t, pairs, scan.scatter)
-            for t in list(leaders.values())[: SETS.with_list_errors]
-            if (pairs := self._with_errors(t, errors))
+            for t, some in couples
+            if (pairs := self._not_fitted(some, t.plates))
         ]
-        for plates in dict.fromkeys(plates for _, plates in errors):
-            plain = replace(scan.tested[0], plates=plates)
-            if pairs := self._misread_twice([h for h, own in errors if own == plates and h.may_repeat]):
-                items.append((tuple(scan.cases), plain, pairs, scan.scatter))
         if items and self.must_end():
             cut_short("cut_list_errors")
             return
@@ -358,21 +364,12 @@ class _SetSearch:
                 trials.append(Trial(pair, t.plates, start, t.cases))
         scan.test(trials)
 
-    def _with_errors(
-        self, t: Tested, errors: Sequence[tuple[Hypothesis, tuple[int, ...]]]
+    def _not_fitted(
+        self, couples: Iterable[tuple[Hypothesis, Hypothesis]], plates: tuple[int, ...]
     ) -> tuple[Hypothesis, ...]:
-        """The pairs of a cause with errors of its plates' lists that are not fitted yet."""
-        pairs = (
-            together((t.hypothesis, error), self.scales)
-            for error, plates in errors
-            if plates == t.plates and go_together(t.hypothesis, error)
-        )
-        return tuple(pair for pair in pairs if (pair.cause, pair.variant, t.plates) not in self.fitted)
-
-    def _misread_twice(self, errors: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
-        """Every two misread frequencies."""
-        couples = ((a, repeated(b)) for a, b in combinations(errors, 2))
-        return tuple(together(couple, self.scales) for couple in couples if go_together(*couple))
+        """The pairs of two causes that can act together on some plates and are not fitted yet."""
+        pairs = (together(couple, self.scales) for couple in couples if go_together(*couple))
+        return tuple(pair for pair in pairs if (pair.cause, pair.variant, plates) not in self.fitted)
 
     def _ranked(self, point: _Point) -> list[_Candidate]:
         """The sets that add a cause to the point, or two, the best variants of each, the best set first."""
