@@ -155,7 +155,7 @@ def _rows(results: Results) -> list[tuple[str, ...]]:
             str(s["trials"]),
             str(s[scoring.RIGHT]),
             str(s[scoring.WRONG]),
-            str(s[scoring.OTHER] + s[scoring.UNDECIDED] + s[scoring.NONE]),
+            str(s["trials"] - s[scoring.RIGHT] - s[scoring.WRONG]),
             f"{s['cause_probability']:.2f}",
             f"{s['inside']} of {s['constants']}",
             f"{s['constants_spread']:.2f}",

@@ -1,18 +1,17 @@
-"""Are the claims of the diagnosis right? Truths from independent elements, off every grid.
+"""Are the claims of the diagnosis right? Truths from independent elements and bricks, off every grid.
 
-python studies/15_claims.py [--make SET ...] [--answer SET ...] [--references SET ...]
+python studies/15_claims.py [--seal] [--make SET ...] [--answer SET ...] [--methods SET ...]
     [--engine NAME=TREE] [--workers N] [--minutes M] [--only TEXT] [--limit N] [--quick]
 
-The lists are files with their truths, one JSON line each in studies/data/claims: "id", "file" (a plate
-file as text) and "truth". --make writes a set anew, --answer asks the diagnosis for what is not answered
-yet, --references adds what users do instead. Without these the answers that there are
-become results, and the section of docs/hidden_effects.md. --engine NAME=TREE asks
-another version of the package for its answers. Another method is scored in the same way: write one JSON
-line a list with "id" and the keys of `cpam-bayes diagnose --json` into
-studies/data/claims/answers/SET_NAME.jsonl.
+A list is a plate file with its truth, one JSON line in studies/data/claims/SET.jsonl: "id", "file", "truth".
+The set "development" is to look at. The set "sealed" is to judge: --seal draws its seed when the code is
+committed and writes the predictions down beside it; --make then makes the lists once, --answer asks the
+diagnosis once for each, with the commit and the date in the answer. Without these options the answers that
+there are become results, and the section of docs/hidden_effects.md.
 
-Tuning looked at the set "tuning" alone; "final" has other plates and seeds. "rows" are twenty plates each of
-the failures that earlier versions were known for.
+--methods adds what users do instead; --engine NAME=TREE asks another version of the package. A method of your
+own is scored in the same way: write one JSON line a list with "id" and the keys of `cpam-bayes diagnose
+--json` into studies/data/claims/answers/sealed_NAME.jsonl and run the study without options.
 """
 
 from __future__ import annotations
@@ -24,13 +23,13 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cpam_bayes as cb
-from validation.claims import answering, references, scoring
-from validation.independent import sets
-from validation.independent.lists import NOISE
+from validation.claims import answering, references, scoring, seal, sets
 from validation.reporting import save_results, write_sections
 
 Results = dict[str, Any]
@@ -38,21 +37,28 @@ Results = dict[str, Any]
 HERE = Path(__file__).parent
 RESULTS = HERE / "results" / f"{Path(__file__).stem}.json"
 DATA = HERE / "data" / "claims"
+SEAL = DATA / "seal.json"
 
 KEYS = {
     "quick": "whether this is the small version",
-    "noise": "relative standard deviation of a frequency",
-    "plates": "by set: name, material, layup, edges, modes in a list, whether the file has [material.sd]",
+    "seal": "of the sealed set: commit of the code, date, seed, predictions, SHA-256 of the lists",
     "lists": "by set: how many there are",
     "unreachable": "by set: lists that could not be made, and why",
     "sets": "by set, of the diagnosis and of others on the same lists: figures, confusion of claims and more",
 }
 
+DEVELOPMENT, SEALED = NAMES_OF_SETS = ("development", "sealed")
+DEVELOPMENT_SEED = 5150
 THIS = "diagnosis"
 # What is kept of other methods.
 BRIEF = ("lists", "by_kind", "figures")
 NAMES = {m: m.replace("_", " ") for m in references.METHODS}
-QUICK_LIST = "taper_x-32-0"
+QUICK_LIST = "strength-taper_x-16"
+
+
+def seed_of(name: str) -> int:
+    """The seed of a set, FileNotFoundError where it was not drawn yet."""
+    return DEVELOPMENT_SEED if name == DEVELOPMENT else int(json.loads(SEAL.read_text("utf-8"))["seed"])
 
 
 def data_path(name: str) -> Path:
@@ -66,23 +72,22 @@ def answers_path(name: str, engine: str) -> Path:
 
 
 def run(quick: bool) -> Results:
-    """Scores of all answers that there are; quick: one list of the tuning set, made and answered here."""
+    """Scores of all answers that there are; quick: one list of the set for development, made and answered."""
     if quick:
-        own = sets.SETS["tuning"]
-        entries = [sets.make(own, plan) for plan in sets.planned(own) if plan.name == QUICK_LIST]
+        entries = [sets.made(DEVELOPMENT_SEED, QUICK_LIST)]
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "answers.jsonl"
             answering.answer(entries, path, _diagnosed)
             answers = {THIS: answering.answered(path)}
-        return _results(True, {"tuning": (entries, answers)})
+        return _results(True, {DEVELOPMENT: (entries, answers)})
     found = {}
-    for name in sets.SETS:
-        entries = _lines(data_path(name)) if data_path(name).exists() else []
-        engines = {
-            p.stem.removeprefix(f"{name}_"): answering.answered(p)
-            for p in sorted((DATA / "answers").glob(f"{name}_*.jsonl"))
-        }
-        found[name] = (entries, engines)
+    for name in NAMES_OF_SETS:
+        if data_path(name).exists():
+            engines = {
+                p.stem.removeprefix(f"{name}_"): answering.answered(p)
+                for p in sorted((DATA / "answers").glob(f"{name}_*.jsonl"))
+            }
+            found[name] = (_lines(data_path(name)), engines)
     return _results(False, found)
 
 
@@ -99,23 +104,10 @@ def _results(quick: bool, found: dict[str, tuple[list[Results], dict[str, dict[s
             if engine != THIS and both:
                 own = scoring.summary([r for r in records if r["id"] in both])
                 said[name][engine] = {k: own[k] for k in BRIEF}
+    is_sealed = SEALED in found and data_path(SEALED).exists()
     return {
         "quick": quick,
-        "noise": NOISE,
-        "plates": {
-            name: [
-                {
-                    "name": p.name,
-                    "material": p.material,
-                    "layup": p.layup,
-                    "edges": p.plate.edges,
-                    "modes": p.n_modes,
-                    "material_sd": p.known,
-                }
-                for p in own.plates
-            ]
-            for name, own in sets.SETS.items()
-        },
+        "seal": seal.require_closed(SEAL, data_path(SEALED)) if is_sealed else None,
         "lists": {name: sum("file" in r for r in entries) for name, (entries, _) in found.items()},
         "unreachable": {
             name: [{"id": r["id"], "why": r["unreachable"]} for r in entries if "unreachable" in r]
@@ -125,22 +117,32 @@ def _results(quick: bool, found: dict[str, tuple[list[Results], dict[str, dict[s
     }
 
 
-def make(name: str) -> None:
-    """Write a set of lists."""
-    data_path(name).parent.mkdir(parents=True, exist_ok=True)
-    with data_path(name).open("w", encoding="utf-8") as file:
-        for record in sets.made(sets.SETS[name]):
-            file.write(sets.line_of(record))
-            file.flush()
+def make(name: str, workers: int) -> None:
+    """Write a set of lists, whole or not at all."""
+    path, seed = data_path(name), seed_of(name)
+    if name == SEALED and path.exists():
+        raise seal.SealError(f"{path.name}: the lists are made")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lines = []
+    with ProcessPoolExecutor(workers) as pool:
+        for record in pool.map(partial(sets.made, seed), sets.ordered(seed)):
+            lines.append(sets.line_of(record))
+            print(name, len(lines), record["id"], record.get("unreachable", ""), flush=True)
+    path.write_text("".join(lines), encoding="utf-8")
+    if name == SEALED:
+        seal.close(SEAL, path)
 
 
 def answer(
     name: str, engine: str, tree: Path, workers: int, minutes: float | None, only: str, limit: int | None
 ) -> None:
-    """Ask a version of the package for what is not answered yet, in processes that share the plates."""
+    """Ask a version of the package for what is not answered yet, in processes that share the lists."""
+    if name == SEALED:
+        seal.require_closed(SEAL, data_path(SEALED))
     path = answers_path(name, engine)
     path.parent.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, answering.__file__, str(data_path(name)), str(path), "--only", only]
+    command += ["--record", json.dumps(seal.provenance(tree))]
     command += [] if limit is None else ["--limit", str(limit)]
     command += [] if minutes is None else ["--minutes", str(minutes)]
     environment = {**os.environ, "PYTHONPATH": str(tree), "OPENBLAS_NUM_THREADS": "1"}
@@ -156,22 +158,15 @@ def refer(name: str, limit: int | None) -> None:
     for path in paths.values():
         path.parent.mkdir(parents=True, exist_ok=True)
     done = set.intersection(*(set(answering.answered(p)) for p in paths.values()))
-    plates = {p.name: p for p in sets.SETS[name].plates}
-    known: dict[str, references.Dictionary] = {}
     # first those that they stand beside
     mine = set(answering.answered(answers_path(name, THIS)))
     entries = sorted(answering.asked(data_path(name), limit=limit), key=lambda r: r["id"] not in mine)
-    for entry in entries:
-        if entry["id"] in done:
-            continue
-        plate = entry["truth"]["plate"]
-        if plate not in known:
-            known[plate] = references.dictionary_of(plates[plate])
-        found = references.answers(known[plate], entry)
+    for entry in (e for e in entries if e["id"] not in done):
+        nominal = sets.PLANS[entry["id"]].candidates(seed_of(name))[entry["plate"]]
+        found = references.answers(references.dictionary_of(nominal), entry)
         for method, record in found.items():
-            whole = {"constants": {}, "baseline": {}, **record}
             with paths[method].open("a", encoding="utf-8") as file:
-                file.write(sets.line_of({"id": entry["id"], **whole}))
+                file.write(sets.line_of({"id": entry["id"], **record}))
         print(name, entry["id"], flush=True)
 
 
@@ -181,20 +176,15 @@ def sections(results: Results) -> dict[str, str]:
     for name, engines in results["sets"].items():
         if THIS in engines:
             others = {k: v for k, v in engines.items() if k != THIS}
-            found[name] = scoring.section(results["lists"][name], engines[THIS], others, NAMES)
+            of = results["seal"] if name == SEALED else None
+            found[name] = scoring.section(results["lists"][name], engines[THIS], others, NAMES, of)
     return found
 
 
 def show(results: Results) -> None:
     """Print what is said of each set."""
-    for name, engines in results["sets"].items():
-        for engine, own in engines.items():
-            print(f"\n== {name}, {engine}: {own['lists']} lists")
-            for row in own["figures"]:
-                said = f"{row['value']} ({row['standard_error']}) of {row['lists']}"
-                print(f"  {row['what']}: {said}, asked {row['asked']}")
-            for row in own["by_kind"]:
-                print("   ", {k: v for k, v in row.items() if v})
+    for name, text in sections(results).items():
+        print(f"\n== {name}\n\n{text}")
 
 
 def _diagnosed(plate: Path) -> Results:
@@ -206,11 +196,12 @@ def _lines(path: Path) -> list[Results]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Make, answer, refer, or sum up."""
+    """Seal, make, answer, refer, or sum up."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true")
-    for option in ("--make", "--answer", "--references"):
-        parser.add_argument(option, nargs="+", choices=list(sets.SETS), default=[])
+    parser.add_argument("--seal", action="store_true", help="draw the seed of the sealed set")
+    for option in ("--make", "--answer", "--methods"):
+        parser.add_argument(option, nargs="+", choices=NAMES_OF_SETS, default=[])
     parser.add_argument("--engine", default=f"{THIS}={HERE.parent}", help="NAME=TREE of a version")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--minutes", type=float)
@@ -218,11 +209,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--limit", type=int)
     args = parser.parse_args(arguments)
     engine, tree = args.engine.split("=", 1)
+    if args.seal:
+        print(json.dumps(seal.draw(SEAL, HERE.parent), indent=1))
     for name in args.make:
-        make(name)
+        make(name, args.workers)
     for name in args.answer:
         answer(name, engine, Path(tree), args.workers, args.minutes, args.only, args.limit)
-    for name in args.references:
+    for name in args.methods:
         refer(name, args.limit)
     results = run(args.quick)
     show(results)

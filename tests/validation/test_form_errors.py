@@ -17,12 +17,12 @@ from cpam_bayes.effects import CATALOGUE, variants
 from tests.effects.cases import BY_NAME
 from tests.test_studies import saved, script
 from validation.independent.forms import FORMS, Bench, RealForm, bench
-from validation.independent.lists import TUNING
+from validation.independent.lists import PLATES
 from validation.independent.true_plate import natural_frequencies
 
 STUDY = "25_form_errors"
 N = 6
-FREE, CLAMPED = TUNING[1], TUNING[3]
+FREE, CLAMPED = PLATES[1], PLATES[3]
 COARSE = (8, 8)
 
 

@@ -92,7 +92,7 @@ def test_no_line_of_the_truths_is_the_packages_own_physics() -> None:
             assert all(n.startswith("validation.independent") for n in names if "validation" in n), path.name
 
 
-FREE, HELD = lists.TUNING[1], lists.TUNING[3]
+FREE, HELD = lists.PLATES[1], lists.PLATES[3]
 N = 6
 # Each with the names of its sizes in the catalogue. A clamp that slips ends abruptly in the truth and fades
 # in the catalogue, and a truth's mass is taller than a point: these agree less by intention.
@@ -152,7 +152,7 @@ def test_a_hidden_cause_shifts_as_the_effect_of_its_name(cause: str, tmp_path: P
     np.testing.assert_allclose(shifted(own.plate, cause, size), expected, atol=1e-3)
 
 
-PLATE = replace(lists.FINAL[0], name="panel")
+PLATE = replace(lists.PLATES[0], name="panel")
 LABORATORY = Laboratory(PLATE, 8.0, 0)
 NOISY = 5 * lists.NOISE
 

@@ -1,7 +1,7 @@
 """Answers of a diagnosis to the lists of a benchmark, one JSON line each; nothing is asked twice.
 
 python studies/validation/claims/answering.py LISTS.jsonl ANSWERS.jsonl [--only TEXT] [--limit N]
-    [--minutes M] [--part K/N] [--plates NAME ...]
+    [--minutes M] [--part K/N] [--record JSON]
 
 Needs nothing of this package but ``diagnose``, so that another version answers the same lists with
 PYTHONPATH set to its tree.
@@ -47,16 +47,21 @@ def reduced(document: Record) -> Record:
         "constants": {n: {k: c[k] for k in keep if k in c} for n, c in constants.items()},
         "baseline": {n: {k: c[k] for k in keep if k in c} for n, c in plain["constants"].items()},
         "baseline_rms_percent": plain.get("rms_percent"),
-        "detectable": bool(document.get("detectable")),
+        "detectable": {d["cause"]: [d["smallest"], d["unit"]] for d in document.get("detectable") or []},
     }
 
 
 def answered(path: Path) -> dict[str, Record]:
-    """The answers that a file holds, by list."""
+    """The answers that a file holds, by list; ValueError for a second answer to one."""
     if not path.exists():
         return {}
-    lines = path.read_text("utf-8").splitlines()
-    return {r["id"]: r for r in (json.loads(line) for line in lines if line.strip())}
+    found: dict[str, Record] = {}
+    for line in filter(str.strip, path.read_text("utf-8").splitlines()):
+        record = json.loads(line)
+        if record["id"] in found:
+            raise ValueError(f"{path.name}: a second answer to {record['id']}")
+        found[record["id"]] = record
+    return found
 
 
 def asked(path: Path, only: str = "", limit: int | None = None) -> list[Record]:
@@ -73,9 +78,13 @@ def answer(
     diagnose: Callable[[Path], Record],
     *,
     minutes: float | None = None,
+    provenance: Record | None = None,
     notify: Callable[[str], None] = lambda text: None,
 ) -> None:
-    """Answer what is not answered yet, as long as there is time; an error is an answer of its own."""
+    """Answer what is not answered yet, as long as there is time; an error is an answer of its own.
+
+    provenance : is added to every answer
+    """
     end = None if minutes is None else time.monotonic() + 60.0 * minutes
     done = answered(path)
     with tempfile.TemporaryDirectory() as folder:
@@ -85,14 +94,15 @@ def answer(
             if end is not None and time.monotonic() > end:
                 notify("out of time")
                 return
-            plate = Path(folder) / f"{entry['truth']['plate']}.toml"
+            plate = Path(folder) / "plate.toml"
             plate.write_text(entry["file"], "utf-8")
             start = time.perf_counter()
             try:
                 record = reduced(diagnose(plate))
             except _FAILURES as error:  # a list that cannot be answered is a result too, and is counted
                 record = {"error": f"{type(error).__name__}: {error}", "where": traceback.format_exc()[-600:]}
-            record = {"id": entry["id"], **record, "seconds": round(time.perf_counter() - start, 2)}
+            seconds = round(time.perf_counter() - start, 2)
+            record = {"id": entry["id"], **record, "seconds": seconds, **(provenance or {})}
             with path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(record) + "\n")
             outcome = record.get("claim", record.get("error"))
@@ -107,8 +117,8 @@ def main() -> None:
     parser.add_argument("--only", default="")
     parser.add_argument("--limit", type=int)
     parser.add_argument("--minutes", type=float)
-    parser.add_argument("--part", default="1/1", help="K/N: the K-th of N parts, divided by plates")
-    parser.add_argument("--plates", nargs="+", help="plates whose lists are answered, one after the other")
+    parser.add_argument("--part", default="1/1", help="K/N: the K-th of N parts")
+    parser.add_argument("--record", type=json.loads, help="JSON object that every answer gets")
     options = parser.parse_args()
     import cpam_bayes as cb
 
@@ -117,15 +127,12 @@ def main() -> None:
 
     lists = asked(options.lists, options.only, options.limit)
     k, n = (int(t) for t in options.part.split("/"))
-    plates = sorted({r["truth"]["plate"] for r in lists})
-    mine = [r for r in lists if plates.index(r["truth"]["plate"]) % n == k - 1]
-    if options.plates:
-        mine = [r for plate in options.plates for r in lists if r["truth"]["plate"] == plate]
     answer(
-        mine,
+        lists[k - 1 :: n],
         options.answers,
         diagnose,
         minutes=options.minutes,
+        provenance=options.record,
         notify=lambda text: print(text, file=sys.stderr, flush=True),
     )
 

@@ -3,8 +3,7 @@
 Simple methods take the residuals of the plain fit, linear in the constants about the truth, and name one
 cause or none: the mode that misfits most, the Bayesian information criterion over causes, a likelihood ratio
 at 5 %, sparse regression on the signatures (orthogonal matching pursuit). They have the signatures of the
-independent elements: shifts of ln f at a grid of sizes and places, solved once a plate at its reference
-constants.
+independent elements: shifts of ln f at a grid of sizes and places, solved at the reference constants.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
 from validation.independent.elements import BucklingError
-from validation.independent.lists import FURTHER, NOISE, Linear, NominalPlate, linear_of
+from validation.independent.lists import FURTHER, Linear, NominalPlate, linear_of
 from validation.independent.true_plate import (
     DEGREES_OF_FREEDOM,
     FLAWS,
@@ -190,7 +189,7 @@ class Whitened:
 def whitened(dictionary: Dictionary, entry: Record) -> Whitened:
     """The list as the methods see it: constants at least squares, causes at a grid of sizes."""
     plain = Plain(dictionary, entry)
-    noise = NOISE if entry["truth"]["stated"] else _ASSUMED
+    noise = entry["truth"]["noise"] if entry["truth"]["stated"] else _ASSUMED
     slope = plain.linear.slope[plain.modes] / noise
     basis, values, _ = np.linalg.svd(slope, full_matrices=False)
     # priors of the constants: what they hold firmly is not free

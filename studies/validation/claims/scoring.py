@@ -13,24 +13,24 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
 Record = dict[str, Any]
 Scored = dict[str, Any]
 
-RIGHT, WRONG, OTHER, UNDECIDED, NONE, FAILED = (
+RIGHT, WRONG, OTHER, UNDECIDED, NONE, MISSED, FAILED = CATEGORIES = (
     "claimed and right",
     "claimed and wrong",
     "other",
     "undecided",
     "none",
+    "missed",
     "error",
 )
-CATEGORIES = (RIGHT, WRONG, OTHER, UNDECIDED, NONE, FAILED)
 # Causes are claimed by these; "none" and "undecided" claim nothing.
 CLAIMS = ("named", "class", "pair")
 # Units of files over SI.
 _UNIT = {"E1_GPa": ("E1", 1e9), "E2_GPa": ("E2", 1e9), "nu12": ("nu12", 1.0), "G12_GPa": ("G12", 1e9)}
-_BINS = 10
 # Half width of a 95 % interval, in standard deviations.
 _NORMAL = 1.96
 
@@ -44,7 +44,6 @@ def score(truth: Record, answer: Record) -> Scored:
     out: Scored = {
         "kind": truth["kind"],
         "causes": sorted(causes),
-        "plate": truth["plate"],
         "ratio": truth["ratio"],
         "signal_to_noise": truth["extra"].get("signal_to_noise", truth["ratio"]),
         "stated": truth["stated"],
@@ -52,14 +51,11 @@ def score(truth: Record, answer: Record) -> Scored:
     if "error" in answer:
         return out | {"category": FAILED, "right": False, "class_size": 0, "inside": {}, "seconds": None}
     claim, named = answer["claim"], set(answer["causes"])
-    category = {"other": OTHER, "undecided": UNDECIDED, "none": NONE}.get(claim)
+    nothing = MISSED if causes else NONE
+    category = {"other": OTHER, "undecided": UNDECIDED, "none": nothing}.get(claim)
     if claim in CLAIMS:
         category = RIGHT if _is_true(claim, named, causes, accepted) else WRONG
-    right = {
-        RIGHT: True,
-        OTHER: causes == {"other"},
-        NONE: not causes,
-    }.get(str(category), False)
+    right = {RIGHT: True, OTHER: causes == {"other"}, NONE: True}.get(str(category), False)
     if claim == "other" and not causes:
         category = WRONG
     out |= {"claim": claim, "claimed": sorted(named), "probability": answer["probability"]}
@@ -67,7 +63,6 @@ def score(truth: Record, answer: Record) -> Scored:
         "category": category,
         "right": right,
         "class_size": len(named) if claim == "class" else 0,
-        "whole": claim != "pair" or (len(causes) == 2 and named <= causes | accepted),
         "inside": coverage_of(truth, answer["constants"]),
         "inside_plain": coverage_of(truth, answer["baseline"]),
         "seconds": answer.get("seconds"),
@@ -103,7 +98,11 @@ def coverage_of(truth: Record, constants: Mapping[str, Mapping[str, float]]) -> 
 def scored(lists: Iterable[Record], answers: Mapping[str, Record]) -> list[Scored]:
     """All lists that were answered."""
     return [
-        {"id": r["id"], "set": r["set"], **score(r["truth"], answers[r["id"]])}
+        {
+            "id": r["id"],
+            **{key: answers[r["id"]].get(key, "-") for key in ("commit", "date")},
+            **score(r["truth"], answers[r["id"]]),
+        }
         for r in lists
         if "truth" in r and r["id"] in answers
     ]
@@ -131,151 +130,171 @@ def confusion(records: Sequence[Scored], by: Callable[[Scored], str]) -> list[Re
     return rows
 
 
-def reliability(records: Sequence[Scored], claims: Sequence[str]) -> Record:
-    """Expected calibration error of the probability of claims, with its bins and what chance alone gives."""
+def honesty(records: Sequence[Scored], claims: Sequence[str]) -> Record:
+    """Mean stated probability of claims, less how often they are right, with its standard error."""
     chosen = [r for r in records if r.get("claim") in claims]
     if not chosen:
-        return {"lists": 0, "error": None, "by_chance": None, "bins": []}
+        return {"lists": 0, "difference": None, "standard_error": None}
     p = np.array([min(r["probability"], 1.0) for r in chosen])
-    right = np.array([float(r["right"]) for r in chosen])
-    index = np.minimum((p * _BINS).astype(int), _BINS - 1)
-
-    def error(outcome: Any) -> float:
-        gaps = np.bincount(index, p, _BINS) - np.bincount(index, outcome, _BINS)
-        return float(np.abs(gaps).sum() / len(p))
-
-    rng = np.random.default_rng(0)
-    chance = float(np.mean([error((rng.random(len(p)) < p).astype(float)) for _ in range(500)]))
-    bins = [
-        {"lists": int(at.sum()), "probability": float(p[at].mean()), "right": float(right[at].mean())}
-        for at in (index == i for i in range(_BINS))
-        if at.any()
-    ]
-    return {"lists": len(p), "error": error(right), "by_chance": chance, "bins": bins}
+    off = p - np.array([float(r["right"]) for r in chosen])
+    return {
+        "lists": len(off),
+        "difference": float(off.mean()),
+        "standard_error": float(np.sqrt(np.sum(p * (1.0 - p)) + 0.25) / len(off)),
+    }
 
 
 def coverage(records: Sequence[Scored], which: str = "inside") -> Record:
-    """Share of true constants in their 95 % intervals, with its standard error, and by constant."""
-    inside = [(name, yes) for r in records for name, yes in r.get(which, {}).items()]
+    """Share of true constants in their 95 % intervals, its standard error over lists, and by constant."""
+    each = [list(r[which].values()) for r in records if r.get(which)]
     by_name: dict[str, list[bool]] = defaultdict(list)
-    for name, yes in inside:
-        by_name[name].append(yes)
-    share, error = shares([yes for _, yes in inside])
+    for r in records:
+        for name, yes in r.get(which, {}).items():
+            by_name[name].append(yes)
+    share, error = None, None
+    if each:
+        inside, number = (np.array([f(v) for v in each], dtype=float) for f in (sum, len))
+        share = float(inside.sum() / number.sum())
+        # of one constant more that is outside, where none is
+        scatter = np.sum((inside - share * number) ** 2) + 0.25
+        error = float(np.sqrt(scatter) / number.sum())
     return {
         "share": share,
         "standard_error": error,
-        "constants": len(inside),
+        "constants": sum(len(v) for v in each),
         "by_constant": {n: round(float(np.mean(v)), 4) for n, v in sorted(by_name.items())},
     }
 
 
-def shares(outcomes: Sequence[bool]) -> tuple[float | None, float | None]:
-    """A share and its standard error, of which an extreme one is that of one case more."""
-    n = len(outcomes)
-    if n == 0:
-        return None, None
-    share = float(np.mean(outcomes))
-    p = min(max(share, 0.5 / (n + 1)), 1.0 - 0.5 / (n + 1))
-    return share, float(np.sqrt(p * (1.0 - p) / n))
+def interval(successes: int, n: int) -> tuple[float, float]:
+    """The exact 95 % interval of a share (Clopper and Pearson, Biometrika 26, 1934)."""
+    low, high = binomtest(successes, n).proportion_ci(0.95, "exact")
+    return float(low), float(high)
 
 
 # Figures of a set of lists
 
 # Signal to noise from which a cause should be found.
 _STRONG = 8.0
-_CLEAN = ("clean", "coincident", "incomplete, clean")
+# Groups of lists by the first part of their names.
+HEADLINE, STRESS = "drawn from priors", "by signal to noise"
+GROUPS = {
+    "clean": HEADLINE,
+    "prior": HEADLINE,
+    "two": HEADLINE,
+    "list": HEADLINE,
+    "bricks": "bricks",
+    "beyond": "what no cause is",
+    "former": "what misled earlier versions",
+    "strength": STRESS,
+}
+
+
+def group_of(r: Scored) -> str:
+    """The group of lists that a list belongs to."""
+    return GROUPS[str(r["id"]).split("-")[0]]
 
 
 def summary(records: Sequence[Scored]) -> Record:
     """Everything that is said of one engine's answers to one set."""
     return {
         "lists": len(records),
-        "plates": sorted({r["plate"] for r in records}),
-        "by_kind": confusion(records, row_of),
-        "by_ratio": confusion([r for r in records if r["kind"] == "one"], ratio_of),
+        "by_commit": dict(sorted(Counter(f"{r['commit']} of {r['date']}" for r in records).items())),
+        "by_kind": confusion(records, kind_of),
+        "by_ratio": confusion([r for r in records if group_of(r) == STRESS], ratio_of),
         "by_noise": confusion(records, lambda r: "noise stated" if r["stated"] else "noise left out"),
-        "by_cause": confusion(
-            [r for r in records if r["kind"] in ("one", "prior", "row")], lambda r: " + ".join(r["causes"])
-        ),
+        "by_cause": confusion(records, lambda r: " + ".join(r["causes"]) or "nothing"),
         "figures": figures(records),
-        "reliability": {
-            "claims": reliability(records, (*CLAIMS, "other")),
-            "claims and none": reliability(records, (*CLAIMS, "other", "none")),
-        },
         "coverage": {
+            **{name: coverage([r for r in records if group_of(r) == name]) for name in _groups(records)},
             "all": coverage(records),
-            "claimed": coverage([r for r in records if r["category"] in (RIGHT, WRONG)]),
-            "clean": coverage([r for r in records if r["kind"] in _CLEAN]),
             "plain model": coverage(records, "inside_plain"),
         },
         "wrong": [
-            {k: r.get(k) for k in ("id", "plate", "causes", "claim", "claimed", "probability")}
+            {k: r.get(k) for k in ("id", "causes", "claim", "claimed", "probability")}
             for r in records
             if r["category"] == WRONG
         ],
     }
 
 
+def _groups(records: Sequence[Scored]) -> list[str]:
+    return [name for name in dict.fromkeys(GROUPS.values()) if any(group_of(r) == name for r in records)]
+
+
 def figures(records: Sequence[Scored]) -> list[Record]:
-    """The figures that were asked for: what, asked, reached, its standard error, number of lists."""
-    every = [r for r in records if r["causes"] and r["kind"] != "smooth" and _strength(r) >= _STRONG]
-    rows = [_row("claimed and right, signal to noise 8 and above", "-", every, _is(RIGHT))]
-    rows.append(_row("wrong claims, all lists", "<= 0.01", records, _is(WRONG)))
-    smooth = [r for r in records if r["kind"] == "smooth"]
-    rows.append(_row("wrong claims, smooth discrepancy", "<= 0.02", smooth, _is(WRONG)))
+    """The figures that are predicted, then further ones: what, value, 95 % interval, number of lists."""
+    drawn = [r for r in records if group_of(r) == HEADLINE]
+    bricks = [r for r in records if group_of(r) == "bricks"]
     clean = [r for r in records if not r["causes"]]
-    rows.append(_row("false claims, nothing hidden", "<= 0.01", clean, _is(WRONG)))
-    calibration = reliability(records, (*CLAIMS, "other"))
-    rows.append(
-        _value(
-            "expected calibration error of claims",
-            "<= 0.03",
-            calibration["error"],
-            None,
-            calibration["lists"],
-        )
-    )
-    every_interval = coverage(records)
-    rows.append(
-        _value(
-            "coverage of 95 % intervals, claimed or not",
-            "0.93 to 0.97",
-            every_interval["share"],
-            every_interval["standard_error"],
-            every_interval["constants"],
-        )
-    )
-    return rows
+    strong = [r for r in records if r["causes"] not in ([], ["other"]) and _strength(r) >= _STRONG]
+    hard = [r for r in records if group_of(r) in ("what no cause is", "what misled earlier versions")]
+    stated = honesty(records, (*CLAIMS, "other"))
+    return [
+        _covered("constants in their 95 % intervals", drawn),
+        _counted("wrong claims", records, _is(WRONG)),
+        _row(
+            "stated probability of a claim, less how often it is right",
+            stated["difference"],
+            stated["standard_error"],
+            stated["lists"],
+        ),
+        _counted("false claims where nothing is wrong", clean, _is(WRONG)),
+        _covered("constants of bricks in their 95 % intervals", bricks),
+        _covered("constants, of what no cause is and what misled earlier versions", hard),
+        _counted("claimed and right, signal to noise 8 and above", strong, _is(RIGHT)),
+        _counted("right or open, of what no cause is and what misled earlier versions", hard, _is_not(WRONG)),
+    ]
 
 
-def row_of(r: Scored) -> str:
-    """The row of known failures, or the kind, that a list belongs to, by its name."""
-    name = str(r["id"])
-    return name.rsplit("-", 1)[0] if r.get("set") == "rows" else str(r["kind"])
+def kind_of(r: Scored) -> str:
+    """What a list holds, for tables."""
+    name = str(r["id"]).split("-")
+    said = {"clean": "nothing", "prior": "one cause", "two": "two causes", "list": "an error of the list"}
+    if name[0] in said:
+        return said[name[0]]
+    return {"strength": "one cause, by signal to noise", "bricks": "bricks"}.get(name[0], name[0])
 
 
 def ratio_of(r: Scored) -> str:
     """The signal to noise of a list as text that sorts."""
-    return "-" if r["ratio"] is None else f"{r['ratio']:3.0f}"
+    return f"{r['ratio']:3.0f}"
 
 
-def section(total: int, scores: Record, others: Mapping[str, Record], names: Mapping[str, str]) -> str:
-    """Markdown of a set: figures, claims by signal to noise, wrong claims, and those of other methods."""
-    lines = [
-        f"{scores['lists']} of {total} lists answered, at random within a plate.",
-        "",
-        "| | reached (standard error) | lists |",
-        "|---|---|---|",
-    ]
-    lines += [f"| {row['what']} | {_shown(row)} | {row['lists']} |" for row in scores["figures"]]
-    cover = scores["coverage"]["plain model"]
-    if cover["constants"]:
-        lines += ["", f"Of the 95 % intervals of the plain model {_number(cover['share'])} hold the truth."]
+def section(
+    total: int,
+    scores: Record,
+    others: Mapping[str, Record],
+    names: Mapping[str, str],
+    seal: Record | None = None,
+) -> str:
+    """Markdown of a set: figures beside what was predicted, what was claimed, wrong claims, other methods."""
+    lines = [f"{scores['lists']} of {total} lists answered, in random order."]
+    predicted = {} if seal is None else seal["predictions"]
+    if seal is not None:
+        lines += [
+            f"Code of commit {seal['code']}, seed {seal['seed']} drawn on {seal['drawn']}. Answered by "
+            + ", ".join(f"{commit} ({n})" for commit, n in scores["by_commit"].items())
+            + "."
+        ]
+    lines += ["", "| | predicted | reached | 95 % interval | of |", "|---|---|---|---|---|"]
+    for row in scores["figures"]:
+        if row["number"]:
+            at = predicted.get(row["what"])
+            low, high = row["interval"]
+            lines.append(
+                f"| {row['what']} | {'-' if at is None else f'{at[0]:g} to {at[1]:g}'} | {row['value']:.3f} "
+                f"| {low:.3f} to {high:.3f} | {row['number']} {row['unit']} |"
+            )
+    plain = scores["coverage"]["plain model"]
+    if plain["constants"]:
+        lines += ["", f"Of the 95 % intervals of the plain model {plain['share']:.3f} hold the truth."]
     if others:
         wrong = [f"{names.get(name, name)} {_claimed_and_wrong(of)}" for name, of in others.items()]
-        own = f"this diagnosis {_claimed_and_wrong(scores)}"
-        lines += ["", f"Wrong on the same lists: {', '.join([own, *wrong])}."]
-    if any(r["what"] != "-" for r in scores["by_ratio"]):
+        of = max(int(o["lists"]) for o in others.values())
+        lines += ["", f"Wrong claims of simple methods on {of} of these lists: {', '.join(wrong)}."]
+    lines += ["", _confusion_table("what is hidden", scores["by_kind"])]
+    if scores["by_ratio"]:
         said = "Single causes by signal to noise:"
         lines += ["", said, "", _confusion_table("signal to noise", scores["by_ratio"])]
     if scores["wrong"]:
@@ -304,7 +323,7 @@ def _claimed_and_wrong(scores: Record) -> int:
 
 
 def _strength(r: Scored) -> float:
-    """Signal to noise of a list; what is no shift, a mode missed or another material, counts as strong."""
+    """Signal to noise of a list; what is no shift, a mode missed, or was not measured, counts as strong."""
     value = r["signal_to_noise"]
     return float("inf") if value is None else float(value) * 1.001
 
@@ -313,22 +332,21 @@ def _is(category: str) -> Callable[[Scored], bool]:
     return lambda r: bool(r["category"] == category)
 
 
-def _row(what: str, asked: str, records: Sequence[Scored], test: Callable[[Scored], bool]) -> Record:
-    return _of(what, asked, [test(r) for r in records])
+def _is_not(category: str) -> Callable[[Scored], bool]:
+    return lambda r: bool(r["category"] != category)
 
 
-def _of(what: str, asked: str, outcomes: Sequence[bool]) -> Record:
-    return _value(what, asked, *shares(outcomes), len(outcomes))
+def _counted(what: str, records: Sequence[Scored], test: Callable[[Scored], bool]) -> Record:
+    n, yes = len(records), sum(test(r) for r in records)
+    between = interval(yes, n) if n else (0.0, 1.0)
+    return {"what": what, "value": yes / n if n else None, "interval": between, "number": n, "unit": "lists"}
 
 
-def _value(what: str, asked: str, value: float | None, error: float | None, n: int) -> Record:
-    return {"what": what, "asked": asked, "value": value, "standard_error": error, "lists": n}
+def _covered(what: str, records: Sequence[Scored]) -> Record:
+    found = coverage(records)
+    return _row(what, found["share"], found["standard_error"], found["constants"], "constants")
 
 
-def _shown(row: Record) -> str:
-    error = row["standard_error"]
-    return _number(row["value"]) + (f" ({error:.3f})" if error is not None else "")
-
-
-def _number(value: Any) -> str:
-    return "-" if value is None else f"{value:.3f}"
+def _row(what: str, value: float | None, error: float | None, n: int, unit: str = "claims") -> Record:
+    between = None if value is None or error is None else (value - 2.0 * error, value + 2.0 * error)
+    return {"what": what, "value": value, "interval": between, "number": n, "unit": unit}

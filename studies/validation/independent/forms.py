@@ -91,7 +91,7 @@ def _mass(plate: TruePlate, mesh: Elements, thickness: Array) -> csr_array[Any]:
     return elements.mass(mesh, per_area, per_area * (plate.thickness * thickness) ** 2 / 12.0)
 
 
-def _of_stiffness(on: Bench, c: Array) -> Matrices:
+def of_stiffness(on: Bench, c: Array) -> Matrices:
     """The plate of another laminate stiffness at every point, (q, 8, 8)."""
     _, m, held = on.bare
     return elements.stiffness(on.mesh, on.strain, c), m, held
@@ -201,7 +201,7 @@ def _cabled(diameter: float, on: Bench, size: float, place: Place) -> Matrices:
     return k, _loaded(along, mass, np.stack([line, np.full_like(line, place[1])]), 0.0), held
 
 
-def _padded(places: Array, shares: Array, on: Bench, size: float, place: Place) -> Matrices:
+def padded(places: Array, shares: Array, on: Bench, size: float, place: Place) -> Matrices:
     """Pads that would bounce a rigid plate at this fraction of its first frequency."""
     k, m, held = on.bare
     whole = (2.0 * np.pi * size * on.frequencies[0]) ** 2 * on.plate.total_mass
@@ -212,14 +212,14 @@ def _padded(places: Array, shares: Array, on: Bench, size: float, place: Place) 
 
 def _pads(x: float, y: float, shares: Sequence[float] = (0.25,) * 4) -> Callable[..., Matrices]:
     corners = np.array([(x, y), (1.0 - x, y), (x, 1.0 - y), (1.0 - x, 1.0 - y)])
-    return partial(_padded, corners, np.array(shares))
+    return partial(padded, corners, np.array(shares))
 
 
 # Stiffness and thickness
 
 
 def _softer(on: Bench, depth: Array, loss: float) -> Matrices:
-    return _of_stiffness(on, on.laminate * (1.0 - loss * depth)[:, None, None])
+    return of_stiffness(on, on.laminate * (1.0 - loss * depth)[:, None, None])
 
 
 # From places (2, q) in units of the extent, about the middle of the damage, to its depth.
@@ -256,12 +256,12 @@ def _cut_off(missing: Profile, on: Bench, size: float, place: Place) -> Matrices
         1.0 - (1.0 - _REMAINS) * missing(np.abs(points - corner) / leg)
         for points in (on.mesh.points, on.mesh.mass_points)
     )
-    k, _, held = _of_stiffness(on, on.laminate * at[:, None, None])
+    k, _, held = of_stiffness(on, on.laminate * at[:, None, None])
     return k, _mass(on.plate, on.mesh, at_mass), held
 
 
 # Relative thickness along a side from -1 to 1, of mean zero and difference 2 between its ends.
-_THICKNESS: dict[str, Profile] = {
+THICKNESS: dict[str, Profile] = {
     "step": lambda s: np.where(s > 0.1, 1.1, -0.9),
     "two steps": lambda s: np.where(s > 0.4, 1.0, 0.0) + np.where(s < -0.4, -1.0, 0.0),
     "parabola": lambda s: s + 0.5 * s**2 - 1.0 / 6.0,
@@ -269,11 +269,11 @@ _THICKNESS: dict[str, Profile] = {
 }
 
 
-def _of_thickness(profile: Profile, axis: int, on: Bench, size: float, place: Place) -> Matrices:
+def of_thickness(profile: Profile, axis: int, on: Bench, size: float, place: Place) -> Matrices:
     at, at_mass = (1.0 + size * profile(2.0 * u[axis] - 1.0) for u in (on.mesh.unit, on.mesh.mass_unit))
     power = np.ones((8, 8))
     power[3:6, 3:6] = 3.0
-    k, _, held = _of_stiffness(on, on.laminate * at[:, None, None] ** power)
+    k, _, held = of_stiffness(on, on.laminate * at[:, None, None] ** power)
     return k, _mass(on.plate, on.mesh, at_mass), held
 
 
@@ -283,7 +283,7 @@ def _skinned(near: Place, far: Place, on: Bench, size: float, place: Place) -> M
     size : over the thickness; near, far : the skins over it
     """
     c = [_with_resin(on.plate, size * on.plate.thickness * np.array(skins)) for skins in (near, far)]
-    return _of_stiffness(on, np.where((on.mesh.unit[0] < 0.5)[:, None, None], *c))
+    return of_stiffness(on, np.where((on.mesh.unit[0] < 0.5)[:, None, None], *c))
 
 
 def _with_resin(plate: TruePlate, skins: Array) -> Array:
@@ -317,7 +317,7 @@ def _risen(
         for slope, side in zip(rise(s, t), on.sides, strict=True)
     )
     risen = replace(on, strain=elements.strains(on.mesh, (x, y)))
-    return _of_stiffness(risen, np.broadcast_to(on.laminate, (on.mesh.points.shape[1], 8, 8)))
+    return of_stiffness(risen, np.broadcast_to(on.laminate, (on.mesh.points.shape[1], 8, 8)))
 
 
 # The forms
@@ -381,9 +381,9 @@ FORMS: tuple[RealForm, ...] = (
         for name, missing in _CORNERS.items()
     ),
     *(
-        RealForm(f"taper_{axis}", name, partial(_of_thickness, profile, "xy".index(axis)), _TAPERS)
+        RealForm(f"taper_{axis}", name, partial(of_thickness, profile, "xy".index(axis)), _TAPERS)
         for axis in "xy"
-        for name, profile in _THICKNESS.items()
+        for name, profile in THICKNESS.items()
     ),
     RealForm("resin_skin", "on one face", partial(_skinned, (2.0, 0.0), (2.0, 0.0)), _SKINS),
     RealForm("resin_skin", "on unequal halves", partial(_skinned, (1.5, 1.5), (0.5, 0.5)), _SKINS),

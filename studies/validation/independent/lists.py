@@ -1,11 +1,11 @@
 """Plates as their files describe them, frequency lists with something hidden in them, and their truths.
 
-Tuning and final figures have different plates. A set has few plates and many lists, because the models of a
-plate are built once.
+The plates here are for tests; those of the claims benchmark are drawn (`drawn`).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -14,7 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from validation.independent.elements import BucklingError
-from validation.independent.true_plate import FLAWS, Aux, TruePlate, natural_frequencies, sensitivities
+from validation.independent.true_plate import (
+    FLAWS,
+    Aux,
+    TruePlate,
+    natural_frequencies,
+    sensitivities,
+    weight,
+)
 
 Array = NDArray[np.float64]
 
@@ -27,6 +34,10 @@ REFERENCE_SD = 0.1
 # Constants of a plate whose file gives none lie within this fraction of the reference.
 SPREAD = 0.15
 RESOLUTION_HZ = 0.1
+# Relative repeatability of the simulated tests, unless a plate has another.
+NOISE = 0.002
+# What is gauged, weighed or taken from a data sheet: relative standard deviations.
+SIDES_SD, THICKNESS_SD, DENSITY_SD, WEIGHT_SD = 1e-3, 1e-2, 1e-2, 2e-3
 
 _CARBON = {"E1": 125e9, "E2": 9.0e9, "nu12": 0.30, "G12": 5.2e9}
 _STIFF_CARBON = {"E1": 140e9, "E2": 8.4e9, "nu12": 0.28, "G12": 4.6e9}
@@ -49,6 +60,9 @@ class NominalPlate:
     known : whether the file says how well the reference constants are known.
     n_modes : in its lists.
     specimen : name of the plate where several files are tests of one.
+    noise : relative repeatability of its tests.
+    exact : whether sizes and density are just as stated.
+    weighed : whether the file states the mass instead of the density.
     """
 
     name: str
@@ -58,6 +72,9 @@ class NominalPlate:
     known: bool
     n_modes: int
     specimen: str = ""
+    noise: float = NOISE
+    exact: bool = True
+    weighed: bool = False
 
     @property
     def bounds(self) -> Mapping[str, tuple[float, float]]:
@@ -78,7 +95,7 @@ class NominalPlate:
         return np.asarray(np.array(widths) / np.sqrt(12.0))
 
     def drawn(self, rng: np.random.Generator) -> TruePlate:
-        """The plate with constants drawn about the reference."""
+        """The plate with constants drawn about the reference, and sizes about what is stated."""
         constants = {}
         for name, (low, high) in self.bounds.items():
             reference = self.plate.constants[name]
@@ -90,16 +107,31 @@ class NominalPlate:
                 if low < value < high:
                     break
             constants[name] = float(value)
-        return replace(self.plate, constants=constants)
+        if self.exact:
+            return replace(self.plate, constants=constants)
+        sd = {"length": SIDES_SD, "width": SIDES_SD, "thickness": THICKNESS_SD, "density": DENSITY_SD}
+        sizes = {k: getattr(self.plate, k) * (1.0 + s * rng.standard_normal()) for k, s in sd.items()}
+        return replace(self.plate, constants=constants, **sizes)
 
-    def file(self, frequencies_hz: list[float], *, stated: float | None, complete: bool = True) -> str:
-        """The plate file with a list of frequencies; stated : relative repeatability, left out if None."""
+    def file(
+        self,
+        frequencies_hz: list[float],
+        *,
+        stated: float | None,
+        complete: bool = True,
+        mass: float | None = None,
+    ) -> str:
+        """The plate file with a list of frequencies.
+
+        stated : relative repeatability, left out if None; mass : kg, in place of the density
+        """
         p = self.plate
         lines = [f'name = "{self.name}"']
         lines += [f'specimen = "{self.specimen}"'] if self.specimen else []
         lines += ["", "[plate]"]
         lines += [f"{side}_mm = {1e3 * getattr(p, side):.6g}" for side in ("length", "width", "thickness")]
-        lines += [f"density_kg_m3 = {p.density:.6g}", f'layup = "{self.layup}"', f'edges = "{p.edges}"']
+        lines += [f"density_kg_m3 = {p.density:.6g}" if mass is None else f"mass_g = {1e3 * mass:.5g}"]
+        lines += [f'layup = "{self.layup}"', f'edges = "{p.edges}"']
         lines += ["", "[material]"]
         lines += [f"isotropic = {'true' if len(self.bounds) == 2 else 'false'}"]
         lines += [f"{_named(n)} = {_shown(n, p.constants[n])}" for n in self.bounds]
@@ -108,9 +140,9 @@ class NominalPlate:
             lines += [f"{_named(n)} = {_shown(n, REFERENCE_SD * p.constants[n])}" for n in self.bounds]
         lines += ["", "[unknowns]"]
         lines += [f"{_named(n)} = [{_shown(n, a)}, {_shown(n, b)}]" for n, (a, b) in self.bounds.items()]
-        for mass in p.masses:
-            lines += ["", "[[sensor]]", f"mass_g = {1e3 * mass.mass:.6g}"]
-            lines += [f"x_mm = {1e3 * mass.x:.6g}", f"y_mm = {1e3 * mass.y:.6g}"]
+        for sensor in p.masses:
+            lines += ["", "[[sensor]]", f"mass_g = {1e3 * sensor.mass:.6g}"]
+            lines += [f"x_mm = {1e3 * sensor.x:.6g}", f"y_mm = {1e3 * sensor.y:.6g}"]
         lines += ["", "[measurement]", f"frequencies_hz = [{', '.join(f'{f:.1f}' for f in frequencies_hz)}]"]
         lines += [f"resolution_hz = {RESOLUTION_HZ}"]
         lines += [] if stated is None else [f"relative_std = {stated}"]
@@ -159,7 +191,7 @@ def _one_way(n: int) -> tuple[str, tuple[float, ...]]:
     return f"[0_{n}]", (0.0,) * n
 
 
-TUNING = (
+PLATES = (
     _of("T1", (270, 270, 3.1), _CROSS_16, "carbon", _CARBON, 1570, known=True, n_modes=6),
     _of("T2", (310, 205, 2.3), _CROSS_OUT_90, "carbon", _STIFF_CARBON, 1600, known=False, n_modes=12),
     _of("T3", (225, 165, 2.1), _one_way(12), "carbon", _CARBON, 1555, known=True, n_modes=10),
@@ -167,25 +199,9 @@ TUNING = (
     _of("T5", (255, 190, 2.0), _QUASI_16, "carbon", _STIFF_CARBON, 1590, known=True, n_modes=12),
     _of("T6", (260, 215, 2.5), _METAL, "aluminium", _ALUMINIUM, 2710, "CFFF", known=True, n_modes=10),
 )
-FINAL = (
-    _of("F1", (240, 240, 2.6), _CROSS_8, "carbon", _STIFF_CARBON, 1585, known=True, n_modes=6),
-    _of("F2", (285, 178, 2.9), _CROSS_16, "carbon", _CARBON, 1565, known=False, n_modes=12),
-    _of("F3", (230, 140, 1.9), _one_way(10), "carbon", _CARBON, 1575, "CFFF", known=True, n_modes=10),
-    _of("F4", (295, 220, 3.3), _CROSS_OUT_90, "glass", _GLASS, 1900, known=False, n_modes=10),
-    _of("F5", (215, 195, 1.6), _QUASI_8, "carbon", _CARBON, 1560, "CFFF", known=True, n_modes=12),
-    _of("F6", (305, 235, 3.0), _METAL, "aluminium", _ALUMINIUM, 2690, known=True, n_modes=10),
-)
-ROWS = (
-    _of("R1", (250, 180, 2.4), _one_way(12), "carbon", _CARBON, 1580, known=False, n_modes=10),
-    _of("R2", (260, 170, 2.7), _CROSS_16, "carbon", _CARBON, 1580, "CFFF", known=False, n_modes=10),
-    _of("R3", (230, 230, 2.2), _CROSS_8, "carbon", _CARBON, 1580, known=True, n_modes=10),
-)
-
 
 # Lists
 
-# Relative repeatability of the simulated tests.
-NOISE = 0.002
 # Modes beyond the list, of which some may be missed.
 FURTHER = 3
 # Mesh on which a size is sought; the list itself is solved on the finer one.
@@ -240,14 +256,15 @@ class Linear:
     ln_f: Array
     slope: Array
     n: int
+    noise: float
 
     def visible(self, shift: Array) -> Array:
         """A shift of the first n modes less what constants imitate within their priors, in sd."""
-        a = self.slope[: self.n] / NOISE
+        a = self.slope[: self.n] / self.noise
         inner = np.eye(self.n) - a @ np.linalg.solve(a.T @ a + np.eye(a.shape[1]), a.T)
         values, vectors = np.linalg.eigh(inner)
         root = (vectors * np.sqrt(np.clip(values, 0.0, None))) @ vectors.T
-        return np.asarray(root @ shift[: self.n] / NOISE)
+        return np.asarray(root @ shift[: self.n] / self.noise)
 
 
 def linear_of(nominal: NominalPlate, plate: TruePlate, mesh: int = _SEARCH_MESH) -> Linear:
@@ -255,7 +272,7 @@ def linear_of(nominal: NominalPlate, plate: TruePlate, mesh: int = _SEARCH_MESH)
     names = nominal.constants
     ln_f, slope = sensitivities(replace(plate, mesh=mesh), names, nominal.n_modes + FURTHER)
     over = np.array([nominal.plate.constants[n] / plate.constants[n] for n in names])
-    return Linear(ln_f, slope * over * nominal.relative_sd, nominal.n_modes)
+    return Linear(ln_f, slope * over * nominal.relative_sd, nominal.n_modes, nominal.noise)
 
 
 def size_for(
@@ -375,48 +392,75 @@ def listed(
     complete: bool = True,
     on_list: Callable[[Array], Array] | None = None,
     causes: tuple[str, ...] | None = None,
+    accepted: tuple[str, ...] = (),
     extra: dict[str, Any] | None = None,
+    changed: TruePlate | None = None,
+    shift: Array | None = None,
 ) -> tuple[str, Truth]:
     """The file of a list and its truth.
 
     missed : modes that the laboratory did not see. complete : what the file says.
     on_list : what else was wrong with the list. causes : if other than the names of the flaws.
+    accepted : further names of what is wrong. changed : the plate with what no flaw describes.
+    shift : of ln f, of the list and FURTHER modes, by what no plate describes.
     """
-    flawed = plate
+    flawed = plate if changed is None else changed
     for cause, (size, aux) in flaws.items():
         flawed = FLAWS[cause].apply(flawed, size, aux)
     every = natural_frequencies(flawed, nominal.n_modes + FURTHER)
+    if shift is not None:
+        every = np.sort(every * np.exp(shift))
     extra = dict(extra or {})
-    if flaws:
+    if flaws or changed is not None or shift is not None:
         shift = np.log(every / natural_frequencies(plate, len(every)))
         norm = np.linalg.norm(linear_of(nominal, plate).visible(shift))
         extra |= {
             "signal_to_noise": round(float(norm), 2),
             "largest_shift_percent": round(100 * float(np.abs(shift).max()), 3),
         }
-    f = np.delete(every, list(missed))[: nominal.n_modes]
-    true_hz = f if on_list is None else on_list(f)
-    noisy = true_hz * (1.0 + NOISE * rng.standard_normal(len(f)))
-    noisy = noisy if on_list is not None else np.sort(noisy)
+    accepted = (*accepted, *same_thing(nominal, plate, flaws))
+    mass = None
+    if nominal.weighed:
+        # a wrong density is a wrong weight
+        mass = weight(plate if "density" in flaws else flawed) * (1.0 + WEIGHT_SD * rng.standard_normal())
     names = tuple(flaws) if causes is None else causes
-    truth = Truth(
+    hidden = Truth(
         kind=kind,
         plate=nominal.name,
         causes=names,
-        accepted=same_thing(nominal, plate, flaws),
+        accepted=tuple(sorted(set(accepted))),
         sizes={cause: float(size) for cause, (size, _) in flaws.items()},
         aux={cause: aux for cause, (_, aux) in flaws.items() if aux},
         ratio=None if ratio is None else float(ratio),
         constants={n: float(plate.constants[n]) for n in nominal.constants},
-        true_hz=tuple(float(v) for v in np.round(true_hz, 3)),
+        true_hz=(),
         stated=stated,
         complete=complete,
         missed=tuple(int(k) for k in missed),
         known=nominal.known,
+        noise=nominal.noise,
         extra=extra,
     )
-    text = nominal.file([float(v) for v in noisy], stated=NOISE if stated else None, complete=complete)
-    return text, truth
+    return written(nominal, every, hidden, rng, on_list=on_list, mass=mass)
+
+
+def written(
+    nominal: NominalPlate,
+    every: Array,
+    truth: Truth,
+    rng: np.random.Generator,
+    *,
+    on_list: Callable[[Array], Array] | None = None,
+    mass: float | None = None,
+) -> tuple[str, Truth]:
+    """The file and the truth of a list of true frequencies, of FURTHER modes more than it has."""
+    f = np.delete(every, list(truth.missed))[: nominal.n_modes]
+    true_hz = f if on_list is None else on_list(f)
+    noisy = true_hz * (1.0 + nominal.noise * rng.standard_normal(len(f)))
+    noisy = noisy if on_list is not None else np.sort(noisy)
+    stated = nominal.noise if truth.stated else None
+    text = nominal.file([float(v) for v in noisy], stated=stated, complete=truth.complete, mass=mass)
+    return text, replace(truth, true_hz=tuple(float(v) for v in np.round(true_hz, 3)))
 
 
 def same_thing(
@@ -426,7 +470,7 @@ def same_thing(
 
     A soft clamp is rotation and translation at once, so each is a soft clamp without the other; a soft clamp
     whose one part alone is below two standard deviations is the other part. The free length of a plate
-    clamped on x = 0 alone is its length. Plies of one direction all turned, where the layup has no other,
+    clamped along x alone is its length. Plies of one direction all turned, where the layup has no other,
     are turned as a whole.
     """
     names = [_same_as(nominal, plate, cause, size, aux) for cause, (size, aux) in flaws.items()]
@@ -436,7 +480,7 @@ def same_thing(
 def _same_as(nominal: NominalPlate, plate: TruePlate, cause: str, size: float, aux: Aux) -> tuple[str, ...]:
     if cause in ("clamp_rotation", "clamp_translation"):
         return ("soft_clamp",)
-    if cause in ("length", "clamp_length") and plate.edges == "CFFF":
+    if cause in ("length", "clamp_length") and plate.edges in ("CFFF", "CFCF"):
         return ("clamp_length" if cause == "length" else "length",)
     if cause == "soft_clamp":
         linear = linear_of(nominal, plate)
@@ -453,19 +497,33 @@ def _same_as(nominal: NominalPlate, plate: TruePlate, cause: str, size: float, a
     return ()
 
 
-def smooth(nominal: NominalPlate, ratio: float, rng: np.random.Generator, **how: Any) -> tuple[str, Truth]:
-    """A list whose frequencies are off by a smooth function of ln f that no cause explains."""
+def smooth(
+    nominal: NominalPlate,
+    ratio: float | None,
+    rng: np.random.Generator,
+    *,
+    kind: str = "smooth",
+    rms: float = math.nan,
+    **how: Any,
+) -> tuple[str, Truth]:
+    """A list whose frequencies are off by a smooth function of ln f that no cause explains.
+
+    ratio : signal to noise; None: the function has this rms
+    """
     plate = nominal.drawn(rng)
     linear = linear_of(nominal, plate)
     x = linear.ln_f[: nominal.n_modes]
     length = float(np.exp(rng.uniform(*np.log(_CORRELATION))))
     covariance = np.exp(-0.5 * ((x[:, None] - x) / length) ** 2) + 1e-10 * np.eye(len(x))
     shift = np.linalg.cholesky(covariance) @ rng.standard_normal(len(x))
-    shift *= ratio / np.linalg.norm(linear.visible(shift))
+    if ratio is None:
+        shift *= rms / np.sqrt(np.mean(shift**2))
+    else:
+        shift *= ratio / np.linalg.norm(linear.visible(shift))
     return listed(
         nominal,
         plate,
-        "smooth",
+        kind,
         {},
         rng,
         ratio=ratio,
@@ -486,7 +544,7 @@ def misread(nominal: NominalPlate, ratio: float, rng: np.random.Generator, **how
         unit[i] = 1.0
         shift = float(rng.choice((-1.0, 1.0)) * ratio / np.linalg.norm(linear.visible(unit)))
         ln_f = linear.ln_f[:n] + shift * unit
-        if abs(shift) < 0.4 and (np.diff(ln_f) > 4 * NOISE).all():
+        if abs(shift) < 0.4 and (np.diff(ln_f) > 4 * nominal.noise).all():
             return listed(
                 nominal,
                 plate,

@@ -83,6 +83,7 @@ class TruePlate:
         of a simple support is that of w.
     loose : fraction of each clamped edge, from its first end, that is not gripped.
     tilt : of the frequencies after the plate: ln f + scale + tan_delta / pi * ln(f / f_1).
+    bias : of ln f, mode by mode, by which three dimensions differ from the elements; none beyond its end.
     """
 
     length: float
@@ -108,6 +109,7 @@ class TruePlate:
     loose: float = 0.0
     scale: float = 0.0
     tan_delta: float = 0.0
+    bias: tuple[float, ...] = ()
     mesh: int = field(default=elements.ELEMENTS)
 
     @property
@@ -123,8 +125,19 @@ def natural_frequencies(plate: TruePlate, n_modes: int) -> Array:
 
 
 def observed(plate: TruePlate, f: Array) -> Array:
-    """What a viscoelastic material and the analyser make of the frequencies."""
-    return np.asarray(f * (f / f[0]) ** (plate.tan_delta / np.pi) * (1.0 + plate.scale))
+    """What three dimensions, a viscoelastic material and the analyser make of the frequencies."""
+    bias = np.zeros(len(f))
+    bias[: len(plate.bias)] = plate.bias[: len(f)]
+    return np.asarray(f * (f / f[0]) ** (plate.tan_delta / np.pi) * (1.0 + plate.scale) * np.exp(bias))
+
+
+def weight(plate: TruePlate) -> float:
+    """Mass of the plate with its flaws but without what is stuck to it, kg."""
+    bare = replace(plate, masses=(), strips=())
+    mesh, _ = _mesh_of(bare)
+    _, m, _ = matrices(bare)
+    w = slice(elements.FIELDS.index("w") * mesh.n, (elements.FIELDS.index("w") + 1) * mesh.n)
+    return float(m[w, w].sum())
 
 
 def modes(plate: TruePlate, n_modes: int) -> tuple[Array, Array]:

@@ -1,0 +1,190 @@
+"""Lists of plates of three-dimensional bricks, drawn from priors, with one thing wrong or nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.forward_model.calculix.run import CalculixError
+from cpam_bayes.plate import read_plate
+from cpam_bayes.plate.laminate import MaterialSymmetry, complete_constants
+from validation.bricks import Flaws, Heat, Mass, Notch, Patch, Springs, flawed_frequencies
+from validation.independent.lists import FURTHER, NominalPlate, Truth, UnreachableError, written
+from validation.independent.true_plate import TruePlate
+
+Array = NDArray[np.float64]
+Made = tuple[str, Truth]
+# Causes, further names of them, what is wrong.
+Wrong = tuple[tuple[str, ...], tuple[str, ...], Flaws]
+
+# Elements in the plane of the two meshes that frequencies are extrapolated from.
+_COARSE, _FINE = 80, 160
+_STATED = 2 / 3
+_SOFT_CLAMP = ("clamp_rotation", "clamp_translation")
+
+
+def _nothing(true: TruePlate, rng: np.random.Generator) -> Wrong:
+    return (), (), Flaws()
+
+
+def _mass(true: TruePlate, rng: np.random.Generator) -> Wrong:
+    grams = true.total_mass * float(np.exp(rng.uniform(*np.log((0.005, 0.06)))))
+    x, y = (rng.uniform(0.04, 0.96, 2) * (true.length, true.width)).tolist()
+    return ("sensor_mass",), (), Flaws(masses=(Mass(grams, x, y),))
+
+
+def _turned(true: TruePlate, rng: np.random.Generator) -> Wrong:
+    return ("misorientation",), (), Flaws(turned_deg=_signed(rng, 2.0, 9.0))
+
+
+def _tapered(axis: int, true: TruePlate, rng: np.random.Generator) -> Wrong:
+    by = _signed(rng, 0.03, 0.15)
+    taper = (by, 0.0) if axis == 0 else (0.0, by)
+    return (f"taper_{'xy'[axis]}",), (), Flaws(taper=taper)
+
+
+def _sagging(true: TruePlate, rng: np.random.Generator) -> Wrong:
+    x, y = (true.thickness * rng.uniform(0.1, 0.9, 2)).tolist()
+    return ("warp",), (), Flaws(sag=(x, y))
+
+
+def _softer(true: TruePlate, rng: np.random.Generator) -> Wrong:
+    sides = np.array([true.length, true.width])
+    half = sides * rng.uniform(0.07, 0.18, 2)
+    middle = half + (sides - 2.0 * half) * rng.uniform(0.05, 0.95, 2)
+    low, high = middle - half, middle + half
+    patch = Patch((low[0], high[0]), (low[1], high[1]), float(rng.uniform(0.3, 0.8)))
+    return ("damage",), (), Flaws(patch=patch)
+
+
+def _cut(true: TruePlate, rng: np.random.Generator) -> Wrong:
+    x, y = (rng.uniform(0.05, 0.13, 2) * (true.length, true.width)).tolist()
+    return ("outline",), (), Flaws(notch=Notch(x, y))
+
+
+def _soft(true: TruePlate, rng: np.random.Generator) -> Wrong:
+    """Springs of compliances E / (k side) and D / (k h side^3), with the mean of both moduli."""
+    turn, shift = np.exp(rng.uniform(np.log((0.01, 0.001)), np.log((0.08, 0.008)))).tolist()
+    modulus = 0.5 * (true.constants["E1"] + true.constants.get("E2", true.constants["E1"]))
+    normal = modulus / (turn * true.length)
+    across = modulus * true.thickness**2 / 12.0 / (shift * true.length**3)
+    return ("soft_clamp",), _SOFT_CLAMP, Flaws(springs=Springs(normal, normal, across))
+
+
+def _stressed(true: TruePlate, rng: np.random.Generator) -> Wrong:
+    """Of the thermal strain that buckles a strip, pi^2 h^2 / (3 side^2), a part."""
+    strain = _signed(rng, 0.2, 0.6) * np.pi**2 / 3.0 * (true.thickness / true.width) ** 2
+    return ("membrane_stress",), (), Flaws(heat=Heat(float(strain)))
+
+
+def _signed(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(rng.choice((-1.0, 1.0)) * rng.uniform(low, high))
+
+
+def _is_free(true: TruePlate) -> bool:
+    return true.edges == "FFFF"
+
+
+def _is_clamped(true: TruePlate) -> bool:
+    return true.edges == "CFFF"
+
+
+def _either(true: TruePlate) -> bool:
+    return _is_free(true) or _is_clamped(true)
+
+
+def _of_plies(true: TruePlate) -> bool:
+    return _either(true) and len(true.angles_deg) > 1
+
+
+# How many lists of each, on which plates.
+KINDS: dict[
+    str, tuple[int, Callable[[TruePlate], bool], Callable[[TruePlate, np.random.Generator], Wrong]]
+] = {
+    "clean": (10, _either, _nothing),
+    "mass": (6, _either, _mass),
+    "turned": (3, _of_plies, _turned),
+    "taper-x": (2, _either, partial(_tapered, 0)),
+    "taper-y": (2, _either, partial(_tapered, 1)),
+    "warp": (3, _is_free, _sagging),
+    "patch": (3, _either, _softer),
+    "corner": (3, _either, _cut),
+    "soft-clamp": (3, _is_clamped, _soft),
+    "stress": (2, _is_free, _stressed),
+    "missed": (3, _either, _nothing),
+}
+
+
+def plans() -> Iterator[
+    tuple[str, Callable[[TruePlate], bool], Callable[[NominalPlate, np.random.Generator], Made]]
+]:
+    """Every list: its name, which plates will do, and how it is made."""
+    for name, (number, on, what) in KINDS.items():
+        for k in range(number):
+            yield f"bricks-{name}-{k}", on, partial(_made, name, what)
+
+
+def _made(
+    name: str,
+    what: Callable[[TruePlate, np.random.Generator], Wrong],
+    nominal: NominalPlate,
+    rng: np.random.Generator,
+) -> Made:
+    nominal = replace(nominal, plate=replace(nominal.plate, bias=()), weighed=False)
+    true = nominal.drawn(rng)
+    causes, accepted, flaws = what(true, rng)
+    missed = (int(rng.integers(nominal.n_modes)),) if name == "missed" else ()
+    truth = Truth(
+        kind="bricks",
+        plate=nominal.name,
+        causes=("mode_identity",) if missed else causes,
+        accepted=accepted,
+        sizes={},
+        aux={},
+        ratio=None,
+        constants={n: float(true.constants[n]) for n in nominal.constants},
+        true_hz=(),
+        stated=bool(rng.random() < _STATED),
+        complete=True,
+        missed=missed,
+        known=nominal.known,
+        noise=nominal.noise,
+        extra={"flaws": repr(flaws)},
+    )
+    return written(nominal, frequencies(nominal, true, flaws), truth, rng)
+
+
+def frequencies(nominal: NominalPlate, true: TruePlate, flaws: Flaws) -> Array:
+    """Of the bricks, extrapolated from two meshes as if the error fell with the square of their sides, Hz."""
+    size = {f"{side}_mm": 1e3 * getattr(true, side) for side in ("length", "width", "thickness")}
+    isotropic = nominal.material == "aluminium"
+    units = {n: 1.0 if n == "nu12" else 1e9 for n in true.constants}
+    specimen = read_plate(
+        {
+            "name": "bricks",
+            "plate": {
+                **size,
+                "density_kg_m3": true.density,
+                "layup": nominal.layup,
+                "edges": true.edges,
+            },
+            "material": {
+                "isotropic": isotropic,
+                **{n if n == "nu12" else f"{n}_GPa": v / units[n] for n, v in true.constants.items()},
+            },
+        }
+    )
+    kind: MaterialSymmetry = "isotropic" if isotropic else "transversely_isotropic"
+    constants = {k: float(v) for k, v in complete_constants(dict(true.constants), kind).items()}
+    n = nominal.n_modes + FURTHER
+    try:
+        rough, good = (
+            flawed_frequencies(specimen, constants, n, flaws, in_plane=m) for m in (_COARSE, _FINE)
+        )
+    except CalculixError as error:
+        raise UnreachableError(str(error)) from None
+    return np.asarray(good - (rough - good) / 3.0)

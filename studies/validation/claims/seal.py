@@ -1,0 +1,83 @@
+"""The seal of a set: its code is committed, its seed is drawn, its lists are made once and answered once.
+
+The file of the seal holds the commit of the code, the seed with its date, what was predicted before the seed
+was drawn, and the SHA-256 of the lists.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import secrets
+import subprocess
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+Record = dict[str, Any]
+
+# What is predicted of the sealed set: the claim, its least and its greatest value.
+PREDICTIONS: dict[str, tuple[float, float]] = {
+    "constants in their 95 % intervals": (0.93, 0.97),
+    "wrong claims": (0.0, 0.01),
+    "stated probability of a claim, less how often it is right": (-0.03, 0.03),
+    "false claims where nothing is wrong": (0.0, 0.01),
+    "constants of bricks in their 95 % intervals": (0.90, 1.0),
+}
+
+
+class SealError(ValueError):
+    """A set that is sealed already, or lists and answers that are not those of the seal."""
+
+
+def provenance(tree: Path) -> Record:
+    """Commit of a tree, whether files differ from it, and today's date."""
+    changed = _git(tree, "status", "--porcelain", "--untracked-files=no", "--", "cpam_bayes", "studies")
+    return {
+        "commit": _git(tree, "rev-parse", "HEAD")[:12],
+        "dirty": bool([line for line in changed.splitlines() if "studies/data/" not in line]),
+        "date": datetime.now(UTC).date().isoformat(),
+    }
+
+
+def draw(path: Path, tree: Path) -> Record:
+    """Draw the seed of a set and write its seal.
+
+    Raises SealError where there is one, or where the code is not committed.
+    """
+    if path.exists():
+        raise SealError(f"{path.name}: the set is sealed")
+    of_code = provenance(tree)
+    if of_code["dirty"]:
+        raise SealError("the code differs from its commit")
+    seal = {
+        "code": of_code["commit"],
+        "drawn": of_code["date"],
+        "seed": secrets.randbits(40),
+        "predictions": {name: list(pair) for name, pair in PREDICTIONS.items()},
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(seal, indent=1) + "\n", encoding="utf-8")
+    return seal
+
+
+def close(path: Path, lists: Path) -> None:
+    """Write the SHA-256 of the lists into their seal; SealError where it holds another."""
+    seal = json.loads(path.read_text("utf-8"))
+    digest = hashlib.sha256(lists.read_bytes()).hexdigest()
+    if seal.setdefault("lists_sha256", digest) != digest:
+        raise SealError(f"{lists.name}: not the lists that were sealed")
+    path.write_text(json.dumps(seal, indent=1) + "\n", encoding="utf-8")
+
+
+def require_closed(path: Path, lists: Path) -> Record:
+    """The seal of lists, SealError where they are not those that it is of."""
+    seal: Record = json.loads(path.read_text("utf-8"))
+    if seal.get("lists_sha256") != hashlib.sha256(lists.read_bytes()).hexdigest():
+        raise SealError(f"{lists.name}: not the lists that were sealed")
+    return seal
+
+
+def _git(tree: Path, *words: str) -> str:
+    done = subprocess.run(["git", "-C", str(tree), *words], capture_output=True, text=True, check=True)
+    return done.stdout.strip()

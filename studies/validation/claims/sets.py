@@ -1,0 +1,73 @@
+"""The sets of the claims benchmark: one to develop on, and one whose seed was drawn when all else stood.
+
+Both have the same kinds of lists, each of a plate of its own. A list depends on the seed of its set and on
+its name alone. The order is random, so that any first part of a set is a fair sample of it.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from validation import brick_lists
+from validation.independent import drawn
+from validation.independent.lists import NominalPlate, Truth, UnreachableError
+from validation.independent.true_plate import TruePlate
+
+# Plates that a list is tried on until what is wrong can be there.
+_CANDIDATES = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """One list to be made: its name, which plates will do, and how."""
+
+    name: str
+    on: Callable[[TruePlate], bool]
+    make: Callable[[NominalPlate, np.random.Generator], tuple[str, Truth]]
+
+    def candidates(self, seed: int) -> tuple[NominalPlate, ...]:
+        """Plates of a set; the list is of the first on which it can be."""
+        rng = np.random.default_rng([seed, zlib.crc32(self.name.encode()), 1])
+        return tuple(drawn.plate(rng, self.on) for _ in range(_CANDIDATES))
+
+
+PLANS = {plan[0]: Plan(*plan) for plan in (*drawn.plans(), *brick_lists.plans())}
+
+
+def ordered(seed: int) -> list[str]:
+    """The names of all lists of a set in its order."""
+    names = list(PLANS)
+    return [names[i] for i in np.random.default_rng(seed).permutation(len(names))]
+
+
+def made(seed: int, name: str) -> dict[str, Any]:
+    """A list with its truth, and which of its candidates it is of; why there is none where none will do."""
+    plan, why = PLANS[name], ""
+    for k, nominal in enumerate(plan.candidates(seed)):
+        rng = np.random.default_rng([seed, zlib.crc32(plan.name.encode()), 2, k])
+        try:
+            text, truth = plan.make(nominal, rng)
+        except UnreachableError as error:
+            why = str(error)
+            continue
+        return {"id": plan.name, "plate": k, "file": text, "truth": asdict(truth)}
+    return {"id": plan.name, "unreachable": why}
+
+
+def line_of(record: dict[str, Any]) -> str:
+    """A record as a line of JSON, numbers in six digits."""
+    return json.dumps(_short(record), allow_nan=False) + "\n"
+
+
+def _short(value: Any) -> Any:
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, dict):
+        return {k: _short(v) for k, v in value.items()}
+    return [_short(v) for v in value] if isinstance(value, list | tuple) else value
