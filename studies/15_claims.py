@@ -30,7 +30,7 @@ from typing import Any
 
 import cpam_bayes as cb
 from validation.claims import answering, references, scoring, seal, sets
-from validation.reporting import save_results, write_sections
+from validation.reporting import paragraph, save_results, write_sections
 
 Results = dict[str, Any]
 
@@ -171,13 +171,16 @@ def refer(name: str, limit: int | None) -> None:
 
 
 def sections(results: Results) -> dict[str, str]:
-    """What docs/hidden_effects.md says of each set."""
+    """What docs/hidden_effects.md says of each set, and README of the sealed one."""
     found = {}
     for name, engines in results["sets"].items():
         if THIS in engines:
             others = {k: v for k, v in engines.items() if k != THIS}
             of = results["seal"] if name == SEALED else None
             found[name] = scoring.section(results["lists"][name], engines[THIS], others, NAMES, of)
+            if name == SEALED:
+                short = scoring.in_short(results["lists"][name], engines[THIS])
+                found["in short"] = paragraph(short, "- ")
     return found
 
 

@@ -307,6 +307,20 @@ def section(
     return "\n".join([*lines, ""])
 
 
+def in_short(total: int, scores: Record) -> str:
+    """Markdown of one point of a list: how often claims are wrong, and how often intervals hold the truth."""
+    n, wrong = int(scores["lists"]), _claimed_and_wrong(scores)
+    low, high = (100.0 * end for end in interval(wrong, n))
+    held = scores["coverage"]["all"]
+    said = f"{n} lists" if n == total else f"{n} of {total} lists so far"
+    return (
+        "**On independent elements and bricks**, sealed before they were answered "
+        f"([hidden effects](docs/hidden_effects.md), {said}): {wrong} wrong claims (95 % interval {low:.1f} to "
+        f"{high:.1f} % of the lists); {100.0 * held['share']:.0f} % of {held['constants']} intervals of 95 % "
+        "held the truth."
+    )
+
+
 def _confusion_table(what: str, rows: Sequence[Record]) -> str:
     shown = [c for c in CATEGORIES if any(r[c] for r in rows)]
     head = [what, "lists", *shown]
