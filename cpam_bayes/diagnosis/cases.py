@@ -135,10 +135,20 @@ def differing_priors(cases: Sequence[PlateCase]) -> tuple[str, ...]:
 
 
 def _common(singles: Sequence[tuple[Hypothesis, ...]], plates: tuple[int, ...]) -> list[Hypothesis]:
-    """Causes that all of some plates may have in common; a material is that of all."""
-    first = [h for h in singles[plates[0]] if h.records]
-    others = [{(h.cause, h.variant) for h in singles[i]} for i in plates[1:]]
-    return [h for h in first if not h.is_of_one_test and all((h.cause, h.variant) in o for o in others)]
+    """Causes that all of some plates may have in common; a material is that of all.
+
+    A size that they share is one that each of them can have: the prior is that of the plate with the least.
+    """
+    each = [{(h.cause, h.variant): h for h in singles[i] if h.records} for i in plates]
+    shared = [key for key, h in each[0].items() if not h.is_of_one_test and all(key in o for o in each)]
+    return [
+        replace(min((of[key] for of in each), key=_widest_size), prior=each[0][key].prior) for key in shared
+    ]
+
+
+def _widest_size(hypothesis: Hypothesis) -> float:
+    sizes = (p.prior for effect in hypothesis.effects for p in effect.sizes)
+    return max((prior.upper - prior.lower for prior in sizes), default=0.0)
 
 
 def _of_specimen(

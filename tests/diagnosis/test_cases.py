@@ -24,6 +24,7 @@ from cpam_bayes.diagnosis.hypotheses import (
 )
 from cpam_bayes.diagnosis.models import diagnosis_parameters
 from cpam_bayes.effects import ListChange, PlateFacts, applicable
+from cpam_bayes.effects.geometry import OUTLINE
 from cpam_bayes.effects.plies import MATERIAL
 from cpam_bayes.forward_model import build
 from cpam_bayes.plate import builtin, read_plate
@@ -281,6 +282,24 @@ def test_effect_that_cannot_be_sent_is_left_to_be_built_when_asked_for(c1: Plate
     effect = replace(hypothesis.effects[0], change=lambda problem, facts: problem)
     build_models([c1], [(replace(hypothesis, effects=(effect,)), plates)])
     assert not c1.extended
+
+
+def test_a_size_that_plates_share_is_one_that_each_of_them_can_have() -> None:
+    cases = [plate_case(builtin(name)) for name in ("C1", "C2")]
+    # a square plate and an oblong one: a corner is less of the latter
+    areas = [
+        min(s.length, s.width) / max(s.length, s.width) for s in (builtin(n).plate for n in ("C1", "C2"))
+    ]
+    assert areas[1] < areas[0]
+    shared = [
+        h for h, plates in hypotheses_of(cases, (OUTLINE,)) if h.cause == "outline" and len(plates) == 2
+    ]
+    assert len(shared) == 4
+    for h in shared:
+        assert h.effects[0].parameters[0].prior.upper <= h.effects[0].place[2] ** 2 * areas[1]
+    for own in cases:
+        build_models([own], [(shared[0], (0,))])
+        assert len(own.extended) == 1
 
 
 def test_only_the_search_bounds_are_left_of_the_constants() -> None:
