@@ -64,6 +64,28 @@ def _models_of_the_run(_run_directory: None) -> None:
     build._made = ModelsOfTheRun(Path(os.environ[shared.DIRECTORY]))
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _documents_follow_their_schemas() -> None:
+    """Each document that the package makes of an answer, in any test, is held against its schema."""
+    from cpam_bayes import result
+    from cpam_bayes.questions import report
+
+    made = result.document_of
+
+    def held_against_its_schema(answer: Any, shown: Any) -> dict[str, Any]:
+        from cpam_bayes.documents import validated
+
+        document = made(answer, shown)
+        if type(answer).__module__.startswith("cpam_bayes."):  # tests make answers of their own kinds
+            try:
+                validated(answer.command, document)
+            except ValueError as error:
+                raise AssertionError(f"{answer.command}: {error}") from None
+        return document
+
+    result.document_of = report.document_of = held_against_its_schema
+
+
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[object, str, str]]:
     """Run a command in this process: exit status, standard output, standard error."""

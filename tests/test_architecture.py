@@ -39,6 +39,7 @@ LAYERS = (
     "command",
     "workbench",
     "questions",
+    "documents",
     "cli",
     "__main__",
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import subprocess
@@ -13,6 +14,7 @@ import pytest
 import yaml
 
 import cpam_bayes as cb
+from cpam_bayes.documents import DOCUMENTS, json_schema
 from tests.browser import open_browser
 from validation.reporting import outdated
 
@@ -69,6 +71,11 @@ def test_the_site_builds_strictly_with_its_figures_equations_and_the_api(site: P
     for page in site.rglob("*.html"):
         for source in re.findall(r'<img[^>]*\ssrc="([^"]+)"', page.read_text("utf-8")):
             assert (page.parent / source).is_file(), f"{page.name}: {source}"
+
+
+def test_the_site_has_the_schema_of_every_document(site: Path) -> None:
+    for command in DOCUMENTS:
+        assert json.loads((site / "schema" / f"{command}.json").read_text("utf-8")) == json_schema(command)
 
 
 def test_fields_of_a_docstring_are_a_list_with_the_types_of_the_signature(site: Path) -> None:

@@ -7,6 +7,7 @@ they link figures as ``../figures/x.png`` and write equations as ``$...$``.
 from __future__ import annotations
 
 import html
+import json
 import re
 import sys
 from pathlib import Path
@@ -15,6 +16,8 @@ from typing import Any
 from latex2mathml.converter import convert
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File
+
+from cpam_bayes.documents import DOCUMENTS, json_schema
 
 _PROJECT = Path(__file__).parents[2]
 sys.path.insert(0, str(_PROJECT / "studies"))
@@ -35,7 +38,10 @@ _FETCHED = re.compile(
 
 
 def on_files(files: Any, *, config: Any) -> Any:
-    """Add the figures that pages show."""
+    """Add the figures that pages show, and the JSON schemas of the commands' documents."""
+    for command in DOCUMENTS:
+        text = json.dumps(json_schema(command), indent=1, ensure_ascii=False) + "\n"
+        files.append(File.generated(config, f"schema/{command}.json", content=text))
     for figure in sorted((_PROJECT / "figures").glob("*.png")):
         files.append(File.generated(config, f"figures/{figure.name}", abs_src_path=str(figure)))
     return files

@@ -1,0 +1,90 @@
+"""Every command's document has a schema, which the documentation holds and every document follows."""
+
+from __future__ import annotations
+
+import argparse
+import copy
+from collections.abc import Iterator
+from importlib import import_module
+from typing import Any
+
+import jsonschema
+import pytest
+
+import cpam_bayes as cb
+from cpam_bayes.cli import COMMANDS
+from cpam_bayes.documents import DOCUMENTS, json_schema, validated
+
+PLATES = cb.plates().to_dict()
+
+
+def test_every_command_has_a_schema() -> None:
+    assert set(DOCUMENTS) == set(COMMANDS)
+    for command in COMMANDS:
+        parser = argparse.ArgumentParser()
+        import_module(f"cpam_bayes.questions.{command}").COMMAND.add_to(parser)
+        assert any("--json" in action.option_strings for action in parser._actions)
+
+
+@pytest.mark.parametrize("command", DOCUMENTS)
+def test_a_schema_is_one_of_draft_2020_12(command: str) -> None:
+    schema = json_schema(command)
+    assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
+    jsonschema.Draft202012Validator.check_schema(schema)
+
+
+def objects(schema: Any) -> Iterator[dict[str, Any]]:
+    """All schemas of objects with named keys, at any depth."""
+    for part in schema.values() if isinstance(schema, dict) else schema:
+        if isinstance(part, dict | list):
+            yield from objects(part)
+    if isinstance(schema, dict) and isinstance(schema.get("properties"), dict):
+        yield schema
+
+
+@pytest.mark.parametrize("command", DOCUMENTS)
+def test_objects_take_no_other_keys_and_say_what_they_are(command: str) -> None:
+    for found in objects(json_schema(command)):
+        assert found["additionalProperties"] is False
+        assert found["description"]
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("colour", "black"),
+        ("lenght_mm", 300.0),
+        ("length_mm", "300"),
+        ("width_mm", True),
+        ("material", None),
+        ("symmetry", "cubic"),
+        ("edges", ...),
+    ],
+)
+def test_a_wrong_key_a_missing_key_and_a_wrong_type_are_refused(key: str, value: object) -> None:
+    document = copy.deepcopy(PLATES)
+    document["plates"][0][key] = value
+    if value is ...:
+        del document["plates"][0][key]
+    with pytest.raises(ValueError, match=rf"plates\.0\.{key}"):
+        validated("plates", document)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(document, json_schema("plates"))
+
+
+def test_whole_numbers_are_numbers_and_another_command_is_refused() -> None:
+    document = copy.deepcopy(PLATES)
+    document["plates"][0]["length_mm"] = 300
+    assert validated("plates", document) is document
+    jsonschema.validate(document, json_schema("plates"))
+    with pytest.raises(ValueError, match="forward"):
+        validated("forward", document)
+    with pytest.raises(ValueError, match="command: received 'plate', accepted: app batch"):
+        json_schema("plate")
+
+
+def test_every_document_that_a_test_makes_is_held_against_its_schema(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`tests/conftest.py` does so."""
+    monkeypatch.setattr("cpam_bayes.questions.plates.__version__", 1)
+    with pytest.raises(AssertionError, match="plates: 1 validation error"):
+        cb.plates().to_dict()
