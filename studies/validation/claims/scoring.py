@@ -250,10 +250,14 @@ def figures(records: Sequence[Scored]) -> list[Record]:
 def kind_of(r: Scored) -> str:
     """What a list holds, for tables."""
     name = str(r["id"]).split("-")
-    said = {"clean": "nothing", "prior": "one cause", "two": "two causes", "list": "an error of the list"}
-    if name[0] in said:
-        return said[name[0]]
-    return {"strength": "one cause, by signal to noise", "bricks": "bricks"}.get(name[0], name[0])
+    said = {
+        "clean": "nothing",
+        "prior": "one cause",
+        "two": "two causes",
+        "list": "an error of the list",
+        "strength": "one cause, by signal to noise",
+    }
+    return said.get(name[0], GROUPS[name[0]])
 
 
 def ratio_of(r: Scored) -> str:
@@ -313,11 +317,12 @@ def in_short(total: int, scores: Record) -> str:
     low, high = (100.0 * end for end in interval(wrong, n))
     held = scores["coverage"]["all"]
     said = f"{n} lists" if n == total else f"{n} of {total} lists so far"
+    counted = "1 wrong claim" if wrong == 1 else f"{wrong} wrong claims"
     return (
         "**On independent elements and bricks**, sealed before they were answered "
-        f"([hidden effects](docs/hidden_effects.md), {said}): {wrong} wrong claims (95 % interval {low:.1f} to "
-        f"{high:.1f} % of the lists); {100.0 * held['share']:.0f} % of {held['constants']} intervals of 95 % "
-        "held the truth."
+        f"([hidden effects](docs/hidden_effects.md), {said}): {counted} (95 % interval {low:.1f} "
+        f"to {high:.1f} % of the lists); {100.0 * held['share']:.0f} % of {held['constants']} intervals of "
+        "95 % held the truth."
     )
 
 
@@ -358,7 +363,9 @@ def _counted(what: str, records: Sequence[Scored], test: Callable[[Scored], bool
 
 def _covered(what: str, records: Sequence[Scored]) -> Record:
     found = coverage(records)
-    return _row(what, found["share"], found["standard_error"], found["constants"], "constants")
+    row = _row(what, found["share"], found["standard_error"], found["constants"], "constants")
+    between = None if row["interval"] is None else tuple(min(max(end, 0.0), 1.0) for end in row["interval"])
+    return {**row, "interval": between}
 
 
 def _row(what: str, value: float | None, error: float | None, n: int, unit: str = "claims") -> Record:
