@@ -97,6 +97,8 @@ def _finish(
 
     read : the plates whose tables needed an answer, by their paths
     """
+    from numpy.linalg import LinAlgError
+
     from cpam_bayes.parallel import WorkersLostError
     from cpam_bayes.render.files import save, save_tables, staging
     from cpam_bayes.render.terminal import forecasting
@@ -121,6 +123,9 @@ def _finish(
                 f"finished rounds are kept in {store}: the same command goes on from there", file=sys.stderr
             )
         raise
+    except LinAlgError as error:  # a ValueError too, and no fault of the input
+        print(f"error: a plate model cannot be solved, please report it: {error}", file=sys.stderr)
+        return NOT_DONE
     except ValueError as error:
         try:
             plate = None if args.json else _with_columns(error)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import openpyxl
 import pytest
+from numpy.linalg import LinAlgError
 
 from cpam_bayes import __version__
 from cpam_bayes.cli import COMMANDS, main
@@ -565,6 +566,15 @@ def test_the_command_gives_each_library_one_thread_unless_told_otherwise():
             own["OPENBLAS_NUM_THREADS"] = given
         out, _ = start(code=code, env=own).communicate(timeout=60)
         assert out.strip() == expected
+
+
+def test_a_matrix_that_cannot_be_solved_is_no_fault_of_the_input(run, monkeypatch):
+    def failing():
+        raise LinAlgError("Matrix is not positive definite")
+
+    monkeypatch.setattr(plates, "COMMAND", Command(failing, watched=False, seeded=False))
+    said = "error: a plate model cannot be solved, please report it: Matrix is not positive definite\n"
+    assert run("plates") == (1, "", said)
 
 
 def test_lost_workers_end_a_command_with_one_message_and_1(run, monkeypatch):
