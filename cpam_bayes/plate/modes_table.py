@@ -78,7 +78,7 @@ _SPECIMEN: Final = (
     ),
     *("éprouvette", "échantillon", "placa", "probeta", "piastra", "provino", "plaat", "próbka"),
 )
-_BRACKETS: Final = re.compile(r"^(.*?)\s*[\[(]\s*(.*?)\s*[\])]$")
+_BRACKETS: Final = re.compile(r"^([^\[(]*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]$")
 _KNOWN: Final = {head: name for name, heads in COLUMNS.items() for head in heads}
 # A number, with marks between thousands where these cannot be a decimal mark, and perhaps a unit.
 _NUMBER: Final = re.compile(

@@ -107,6 +107,10 @@ LAYOUTS: dict[str, str | bytes] = {
     "Polish, cp1250": "Mod;Cz\u0119stotliwo\u015b\u0107 [Hz]\n1;101,5\n2;305,25\n3;333\n".encode("cp1250"),
     "UTF-16 without a mark": "Modus;Frequenz [Hz]\n1;101,5\n2;305,25\n3;333\n".encode("utf-16-le"),
     "a head of two words, and commas": "Mode,Measured frequency (Hz)\n1,101.5\n2,305.25\n3,333\n",
+    "frequencies first, each head with a unit, commas":
+        "Frequency (Hz),Damping (%)\n101.5,0.4\n305.25,0.3\n333,0.2\n",
+    "frequencies first, square brackets": "f [Hz],zeta [-]\n101.5,0.004\n305.25,0.003\n333,0.002\n",
+    "frequencies and heights of peaks": "Frequenz (Hz);Pegel (dB)\n101,5;-12\n305,25;-20\n333;-31\n",
     "columns apart by spaces, heads of several words": "Mode  Damping (%)  Natural frequency (Hz)\n"
     "1     0.4          101.5\n2     0.3          305.25\n3     0.2          333\n",
     "rates above":
