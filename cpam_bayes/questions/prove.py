@@ -278,6 +278,8 @@ def _list_of(given: ListLike, specimen: Specimen, first: Measurement) -> tuple[s
         name = os.fspath(given)
         if Path(name).suffix.casefold() == ".toml":
             content = dict(parse(decode(_content(name, "a list"), name), name))
+            if "coin" in content:  # its values are not shown
+                raise PlateFileError(f"{name}: a sealed file, accepted: a list; give it as --sealed {name}")
             if "plate" in content:
                 found = read_plate(name).measurement
                 if found is None:

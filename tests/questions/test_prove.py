@@ -133,6 +133,11 @@ def test_a_seal_that_is_refused_is_not_given_away(lists: tuple[Path, str, str, s
     assert not {"7.25", "999"} & set(str(refusal.value).split())
     with pytest.raises(PlateFileError, match="no such file, accepted: a sealed file"):
         cb.prove(plate, coin, sealed=tmp_path / "none.toml")
+    with pytest.raises(
+        PlateFileError, match="a sealed file, accepted: a list; give it as --sealed"
+    ) as refusal:
+        cb.prove(plate, coin, str(tmp_path / "seal.toml"))
+    assert "7.25" not in str(refusal.value)
 
 
 def test_a_plate_model_that_is_far_off_says_nothing_of_a_mass(lists: tuple[Path, str, str, str]) -> None:

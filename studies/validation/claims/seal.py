@@ -32,10 +32,10 @@ class SealError(ValueError):
 
 def provenance(tree: Path) -> Record:
     """Commit of a tree, whether files differ from it, and today's date."""
-    changed = _git(tree, "status", "--porcelain", "--untracked-files=no", "--", "cpam_bayes", "studies")
+    code = ("cpam_bayes", "studies", ":!studies/data", ":!studies/results")
     return {
         "commit": _git(tree, "rev-parse", "HEAD")[:12],
-        "dirty": bool([line for line in changed.splitlines() if "studies/data/" not in line]),
+        "dirty": bool(_git(tree, "status", "--porcelain", "--untracked-files=no", "--", *code)),
         "date": datetime.now(UTC).date().isoformat(),
     }
 
