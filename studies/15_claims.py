@@ -104,10 +104,9 @@ def _results(quick: bool, found: dict[str, tuple[list[Results], dict[str, dict[s
             if engine != THIS and both:
                 own = scoring.summary([r for r in records if r["id"] in both])
                 said[name][engine] = {k: own[k] for k in BRIEF}
-    is_sealed = SEALED in found and data_path(SEALED).exists()
     return {
         "quick": quick,
-        "seal": seal.require_closed(SEAL, data_path(SEALED)) if is_sealed else None,
+        "seal": seal.require_closed(SEAL, data_path(SEALED)) if SEALED in found else None,
         "lists": {name: sum("file" in r for r in entries) for name, (entries, _) in found.items()},
         "unreachable": {
             name: [{"id": r["id"], "why": r["unreachable"]} for r in entries if "unreachable" in r]

@@ -45,6 +45,7 @@ from cpam_bayes.inference.swarm import Status
 __all__ = ["Convergence", "Identify", "Report", "Sequence"]
 
 NoiseSource: TypeAlias = Literal["residuals", "plate file"]
+Laminate: TypeAlias = Annotated[dict[str, Value], Field(description="D, N m; moduli in bending, GPa")]
 
 
 class Optimum(TypedDict):
@@ -75,7 +76,7 @@ class PointIdentify(ModelAnswer, ByShape):
     rms_percent: Percent
     noise_percent: Percent
     noise_source: NoiseSource
-    laminate: Annotated[dict[str, Value], Field(description="D, N m; moduli in bending, GPa")]
+    laminate: Laminate
     forward_solves: int
     swarms: int
     iterations: int
@@ -96,7 +97,7 @@ class PlateOfSeveral(TypedDict):
     misfit_over_noise: Number
     explained_by: list[Slip]
     relative_error_estimate: WorstError
-    laminate: Annotated[dict[str, Value], Field(description="D, N m; moduli in bending, GPa")]
+    laminate: Laminate
 
 
 class FrequencyOfSeveral(FrequencyRow):

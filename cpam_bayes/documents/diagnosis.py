@@ -23,6 +23,7 @@ from cpam_bayes.documents.parts import (
     Percent,
     Probability,
     Spread,
+    StandardError,
     Texts,
     TimedAnswer,
     WorstError,
@@ -81,7 +82,7 @@ class Weighed(TypedDict):
     probability: Probability
     probability_range: Range
     log_bayes_factor: Annotated[Number, Field(description="against none, nats")]
-    log_evidence_error: Annotated[Number, Field(description="standard error, nats")]
+    log_evidence_error: StandardError
     k_hat: KHat
     parameters: dict[str, Size]
     indistinguishable_from: Annotated[Texts, Field(description="causes with the same signature")]
@@ -128,7 +129,7 @@ class PlateFit(FitOfLists):
 class Fit(FitOfLists):
     """A fit of all lists, by the plain model or as `Extended`."""
 
-    log_evidence_error: Annotated[Number, Field(description="standard error, nats")]
+    log_evidence_error: StandardError
     k_hat: KHat
     posterior_predictive_p_value: Number
     predictive_p: Annotated[Number, Field(description="the same against the stated noise, or its prior")]
@@ -168,7 +169,7 @@ class Gain(TypedDict):
     rms_percent_after: Percent
     log_bayes_factor: Nats
     held_out_log_score_difference: Annotated[Number, Field(description="of frequencies left out, nats")]
-    held_out_log_score_se: Annotated[Number, Field(description="standard error, nats")]
+    held_out_log_score_se: StandardError
     held_out_log_score_by_frequency: list[Number]
     held_out_hypotheses: int
     stable_share: Annotated[Number, Field(description="of the frequencies without which the claim stands")]

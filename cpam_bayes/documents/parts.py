@@ -53,6 +53,7 @@ __all__ = [
     "Share",
     "Slip",
     "Spread",
+    "StandardError",
     "Texts",
     "TimedAnswer",
     "Value",
@@ -84,6 +85,7 @@ Places: TypeAlias = list[Pair]
 InConstants: TypeAlias = Annotated[
     dict[str, Number], Field(description="by constant, named as in [unknowns], in the unit of its name")
 ]
+StandardError: TypeAlias = Annotated[Number, Field(description="standard error, nats")]
 ModeKind: TypeAlias = Annotated[Kind, Field(description="of the mode")]
 Bound: TypeAlias = Annotated[Literal["lower", "upper"] | None, Field(description="that the value sits on")]
 PairedBy: TypeAlias = Annotated[
@@ -139,7 +141,7 @@ class LogEvidence(TypedDict):
     """A log evidence and how well it is known."""
 
     log_evidence: Nats
-    log_evidence_error: Annotated[Number, Field(description="standard error, nats")]
+    log_evidence_error: StandardError
     k_hat: KHat
 
 
@@ -241,10 +243,15 @@ class Head(TypedDict):
     fingerprint: Annotated[str, Field(description="hash of the sources that the answer depends on")]
 
 
-class Answer(Head):
-    """The keys of an answer that is computed."""
+class Seeded(Head):
+    """The keys of what a seed repeats."""
 
     seed: Annotated[int, Field(description="repeats the answer bit for bit")]
+
+
+class Answer(Seeded):
+    """The keys of an answer that is computed."""
+
     warnings: Annotated[Texts, Field(description="every reason not to trust the numbers")]
 
 
@@ -262,13 +269,12 @@ class Certificate(TypedDict):
     date: NotRequired[str]
 
 
-class PlateHead(Head, Certificate):
+class PlateHead(Seeded, Certificate):
     """The keys that a document about one plate begins with."""
 
     plate: Annotated[str, Field(description="its name")]
     specimen: Annotated[str, Field(description="equal for tests of one plate")]
     source: Annotated[str, Field(description="path of the plate file, or the built-in specimen")]
-    seed: Annotated[int, Field(description="repeats the answer bit for bit")]
     damping: NotRequired[Annotated[list[Damping], Field(description="where a table of modes gives it")]]
 
 

@@ -24,6 +24,7 @@ from cpam_bayes.documents.parts import (
     PlateHead,
     Probability,
     Share,
+    StandardError,
     Texts,
     TimedAnswer,
     Value,
@@ -253,6 +254,7 @@ class PrintedTable(TypedDict):
     contradictions: list[Contradiction]
 
 
+# beside a key named list
 Numbers: TypeAlias = list[float]
 Levels: TypeAlias = list[Level]
 
@@ -368,7 +370,7 @@ class SimulationError(TypedDict):
     extended_rms_percent: Percent
     log_bayes_factor: Nats
     held_out: Annotated[Number, Field(description="difference of log scores, nats")]
-    held_out_se: Annotated[Number, Field(description="standard error, nats")]
+    held_out_se: StandardError
 
 
 class Cost(TypedDict):

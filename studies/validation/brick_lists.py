@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from cpam_bayes.forward_model.calculix.run import CalculixError
 from cpam_bayes.plate import read_plate
 from cpam_bayes.plate.laminate import MaterialSymmetry, complete_constants
-from validation.bricks import Flaws, Heat, Mass, Notch, Patch, Springs, flawed_frequencies
-from validation.independent.lists import FURTHER, NominalPlate, Truth, UnreachableError, written
-from validation.independent.true_plate import TruePlate
+from validation.bricks import Flaws, Heat, Mass, Notch, Patch, Springs, extrapolated_frequencies
+from validation.independent.drawn import has_bench, is_stated, signed
+from validation.independent.lists import FURTHER, IN_FILE, NominalPlate, Truth, UnreachableError, written
+from validation.independent.true_plate import TruePlate, has_plies, is_free
 
 Array = NDArray[np.float64]
 Made = tuple[str, Truth]
@@ -23,7 +24,6 @@ Wrong = tuple[tuple[str, ...], tuple[str, ...], Flaws]
 
 # Elements in the plane of the two meshes that frequencies are extrapolated from.
 _COARSE, _FINE = 80, 160
-_STATED = 2 / 3
 _SOFT_CLAMP = ("clamp_rotation", "clamp_translation")
 
 
@@ -38,11 +38,11 @@ def _mass(true: TruePlate, rng: np.random.Generator) -> Wrong:
 
 
 def _turned(true: TruePlate, rng: np.random.Generator) -> Wrong:
-    return ("misorientation",), (), Flaws(turned_deg=_signed(rng, 2.0, 9.0))
+    return ("misorientation",), (), Flaws(turned_deg=signed(rng, 2.0, 9.0))
 
 
 def _tapered(axis: int, true: TruePlate, rng: np.random.Generator) -> Wrong:
-    by = _signed(rng, 0.03, 0.15)
+    by = signed(rng, 0.03, 0.15)
     taper = (by, 0.0) if axis == 0 else (0.0, by)
     return (f"taper_{'xy'[axis]}",), (), Flaws(taper=taper)
 
@@ -77,45 +77,33 @@ def _soft(true: TruePlate, rng: np.random.Generator) -> Wrong:
 
 def _stressed(true: TruePlate, rng: np.random.Generator) -> Wrong:
     """Of the thermal strain that buckles a strip, pi^2 h^2 / (3 side^2), a part."""
-    strain = _signed(rng, 0.2, 0.6) * np.pi**2 / 3.0 * (true.thickness / true.width) ** 2
+    strain = signed(rng, 0.2, 0.6) * np.pi**2 / 3.0 * (true.thickness / true.width) ** 2
     return ("membrane_stress",), (), Flaws(heat=Heat(float(strain)))
-
-
-def _signed(rng: np.random.Generator, low: float, high: float) -> float:
-    return float(rng.choice((-1.0, 1.0)) * rng.uniform(low, high))
-
-
-def _is_free(true: TruePlate) -> bool:
-    return true.edges == "FFFF"
 
 
 def _is_clamped(true: TruePlate) -> bool:
     return true.edges == "CFFF"
 
 
-def _either(true: TruePlate) -> bool:
-    return _is_free(true) or _is_clamped(true)
-
-
 def _of_plies(true: TruePlate) -> bool:
-    return _either(true) and len(true.angles_deg) > 1
+    return has_bench(true) and has_plies(true)
 
 
 # How many lists of each, on which plates.
 KINDS: dict[
     str, tuple[int, Callable[[TruePlate], bool], Callable[[TruePlate, np.random.Generator], Wrong]]
 ] = {
-    "clean": (10, _either, _nothing),
-    "mass": (6, _either, _mass),
+    "clean": (10, has_bench, _nothing),
+    "mass": (6, has_bench, _mass),
     "turned": (3, _of_plies, _turned),
-    "taper-x": (2, _either, partial(_tapered, 0)),
-    "taper-y": (2, _either, partial(_tapered, 1)),
-    "warp": (3, _is_free, _sagging),
-    "patch": (3, _either, _softer),
-    "corner": (3, _either, _cut),
+    "taper-x": (2, has_bench, partial(_tapered, 0)),
+    "taper-y": (2, has_bench, partial(_tapered, 1)),
+    "warp": (3, is_free, _sagging),
+    "patch": (3, has_bench, _softer),
+    "corner": (3, has_bench, _cut),
     "soft-clamp": (3, _is_clamped, _soft),
-    "stress": (2, _is_free, _stressed),
-    "missed": (3, _either, _nothing),
+    "stress": (2, is_free, _stressed),
+    "missed": (3, has_bench, _nothing),
 }
 
 
@@ -148,7 +136,7 @@ def _made(
         ratio=None,
         constants={n: float(true.constants[n]) for n in nominal.constants},
         true_hz=(),
-        stated=bool(rng.random() < _STATED),
+        stated=is_stated(rng),
         complete=True,
         missed=missed,
         known=nominal.known,
@@ -159,10 +147,10 @@ def _made(
 
 
 def frequencies(nominal: NominalPlate, true: TruePlate, flaws: Flaws) -> Array:
-    """Of the bricks, extrapolated from two meshes as if the error fell with the square of their sides, Hz."""
+    """Of the bricks, extrapolated from two meshes, of the list and FURTHER modes, Hz."""
     size = {f"{side}_mm": 1e3 * getattr(true, side) for side in ("length", "width", "thickness")}
-    isotropic = nominal.material == "aluminium"
-    units = {n: 1.0 if n == "nu12" else 1e9 for n in true.constants}
+    named = {IN_FILE[name]: value for name, value in true.constants.items()}
+    kind: MaterialSymmetry = "isotropic" if nominal.material == "aluminium" else "transversely_isotropic"
     specimen = read_plate(
         {
             "name": "bricks",
@@ -173,18 +161,15 @@ def frequencies(nominal: NominalPlate, true: TruePlate, flaws: Flaws) -> Array:
                 "edges": true.edges,
             },
             "material": {
-                "isotropic": isotropic,
-                **{n if n == "nu12" else f"{n}_GPa": v / units[n] for n, v in true.constants.items()},
+                "isotropic": kind == "isotropic",
+                **{key: value / unit for (key, unit), value in named.items()},
             },
         }
     )
-    kind: MaterialSymmetry = "isotropic" if isotropic else "transversely_isotropic"
-    constants = {k: float(v) for k, v in complete_constants(dict(true.constants), kind).items()}
+    whole = complete_constants(dict(true.constants), kind)
+    constants = {name: float(value) for name, value in whole.items()}
     n = nominal.n_modes + FURTHER
     try:
-        rough, good = (
-            flawed_frequencies(specimen, constants, n, flaws, in_plane=m) for m in (_COARSE, _FINE)
-        )
+        return extrapolated_frequencies(specimen, constants, n, flaws, _COARSE, _FINE)
     except CalculixError as error:
         raise UnreachableError(str(error)) from None
-    return np.asarray(good - (rough - good) / 3.0)

@@ -63,8 +63,7 @@ def draw(path: Path, tree: Path) -> Record:
 
 def close(path: Path, lists: Path) -> None:
     """Write the SHA-256 of the lists into their seal; SealError where it holds another."""
-    seal = json.loads(path.read_text("utf-8"))
-    digest = hashlib.sha256(lists.read_bytes()).hexdigest()
+    seal, digest = json.loads(path.read_text("utf-8")), _digest(lists)
     if seal.setdefault("lists_sha256", digest) != digest:
         raise SealError(f"{lists.name}: not the lists that were sealed")
     path.write_text(json.dumps(seal, indent=1) + "\n", encoding="utf-8")
@@ -73,9 +72,13 @@ def close(path: Path, lists: Path) -> None:
 def require_closed(path: Path, lists: Path) -> Record:
     """The seal of lists, SealError where they are not those that it is of."""
     seal: Record = json.loads(path.read_text("utf-8"))
-    if seal.get("lists_sha256") != hashlib.sha256(lists.read_bytes()).hexdigest():
+    if seal.get("lists_sha256") != _digest(lists):
         raise SealError(f"{lists.name}: not the lists that were sealed")
     return seal
+
+
+def _digest(lists: Path) -> str:
+    return hashlib.sha256(lists.read_bytes()).hexdigest()
 
 
 def _git(tree: Path, *words: str) -> str:

@@ -21,7 +21,14 @@ from numpy.typing import NDArray
 from validation.independent import elements, forms, lists
 from validation.independent.elements import BucklingError
 from validation.independent.lists import FURTHER, NominalPlate, Truth, UnreachableError
-from validation.independent.true_plate import FLAWS, Mass, TruePlate, natural_frequencies
+from validation.independent.true_plate import (
+    FLAWS,
+    Mass,
+    TruePlate,
+    has_plies,
+    is_free,
+    natural_frequencies,
+)
 
 Array = NDArray[np.float64]
 Made = tuple[str, Truth]
@@ -136,12 +143,6 @@ def bias(true: TruePlate, n_modes: int) -> tuple[float, ...]:
 # What no cause is
 
 
-def _shifted(nominal: NominalPlate, true: TruePlate, act: Callable[..., forms.Matrices], *how: Any) -> Array:
-    """Shifts of ln f by a form on the matrices of a plate, of the list and FURTHER modes."""
-    on = forms.bench(true, nominal.n_modes + FURTHER)
-    return np.asarray(on.solved(act(on, *how)) - np.log(on.frequencies))
-
-
 def _by_form(
     act: Callable[..., forms.Matrices],
     low: float,
@@ -155,7 +156,8 @@ def _by_form(
     def make(nominal: NominalPlate, rng: np.random.Generator) -> Made:
         true, size = nominal.drawn(rng), float(rng.uniform(low, high))
         place = tuple(float(v) for v in rng.uniform(0.15, 0.85, 2))
-        shift = _shifted(nominal, true, act, size, place)
+        on = forms.bench(true, nominal.n_modes + FURTHER)
+        shift = on.solved(act(on, size, place)) - np.log(on.frequencies)
         extra = {"size": size, "place": place}
         return _listed(nominal, true, kind, rng, shift=shift, causes=causes, accepted=accepted, extra=extra)
 
@@ -163,11 +165,17 @@ def _by_form(
 
 
 def _listed(nominal: NominalPlate, true: TruePlate, kind: str, rng: np.random.Generator, **how: Any) -> Made:
-    return lists.listed(nominal, true, kind, {}, rng, stated=_stated(rng), **how)
+    return lists.listed(nominal, true, kind, {}, rng, stated=is_stated(rng), **how)
 
 
-def _stated(rng: np.random.Generator) -> bool:
+def is_stated(rng: np.random.Generator) -> bool:
+    """Whether a file states the repeatability."""
     return bool(rng.random() < _STATED)
+
+
+def signed(rng: np.random.Generator, low: float, high: float) -> float:
+    """A size from low to high, of either sign."""
+    return float(rng.choice((-1.0, 1.0)) * rng.uniform(low, high))
 
 
 def _loose_core(on: forms.Bench, size: float, place: forms.Place) -> forms.Matrices:
@@ -195,40 +203,37 @@ def _drifting(on: forms.Bench, size: float, place: forms.Place) -> forms.Matrice
     return forms.of_stiffness(on, each[nearest])
 
 
+_stepped = partial(forms.of_thickness, forms.THICKNESS["step"], 0)
+
+
 def _warming(nominal: NominalPlate, rng: np.random.Generator) -> Made:
     """The plate softens from the first line to the last as it warms."""
     n = nominal.n_modes + FURTHER
-    drift = float(rng.choice((-1.0, 1.0)) * rng.uniform(0.003, 0.02))
+    drift = signed(rng, 0.003, 0.02)
     shift = drift * np.arange(n) / (nominal.n_modes - 1)
     true = nominal.drawn(rng)
     return _listed(nominal, true, "beyond", rng, shift=shift, causes=("other",), extra={"drift": drift})
 
 
-_STEP = {axis: partial(forms.of_thickness, forms.THICKNESS["step"], axis) for axis in (0, 1)}
-
-
-def _is_free(true: TruePlate) -> bool:
-    return true.edges == "FFFF"
-
-
-def _has_bench(true: TruePlate) -> bool:
+def has_bench(true: TruePlate) -> bool:
+    """Whether it is free or held at x = 0 alone, as `forms.bench` takes it and bricks with flaws are."""
     return true.edges in ("FFFF", "CFFF")
 
 
-def _has_plies(true: TruePlate) -> bool:
-    return len(true.angles_deg) > 1
+def _any(true: TruePlate) -> bool:
+    return True
 
 
 # By name: which plates, and how.
 _BEYOND: dict[str, tuple[Callable[[TruePlate], bool], Maker]] = {
-    "loose core": (_has_bench, _by_form(_loose_core, 0.1, 0.3, ("other",), ("damage",))),
-    "two thicknesses": (_has_bench, _by_form(_STEP[0], 0.02, 0.1, ("other",), ("taper_x",))),
+    "loose core": (has_bench, _by_form(_loose_core, 0.1, 0.3, ("other",), ("damage",))),
+    "two thicknesses": (has_bench, _by_form(_stepped, 0.02, 0.1, ("other",), ("taper_x",))),
     "drifting plies": (
-        lambda true: _has_bench(true) and _has_plies(true),
+        lambda true: has_bench(true) and has_plies(true),
         _by_form(_drifting, 3.0, 12.0, ("other",), ("misorientation", "outer_ply_angle")),
     ),
-    "warming": (lambda true: True, _warming),
-    "cable": (_is_free, _by_form(_pulled, 0.1, 0.3, ("other",), ("support",))),
+    "warming": (_any, _warming),
+    "cable": (is_free, _by_form(_pulled, 0.1, 0.3, ("other",), ("support",))),
 }
 
 # What misled earlier versions
@@ -319,7 +324,7 @@ def _fixed(cause: str, low: float, high: float, kind: str, **aux: Any) -> Maker:
         flaw = FLAWS[cause]
         size = float(rng.uniform(low, high)) * (float(rng.choice((-1.0, 1.0))) if flaw.two_sided else 1.0)
         return lists.single(
-            nominal, cause, None, rng, kind=kind, size=size, aux=aux or None, stated=_stated(rng)
+            nominal, cause, None, rng, kind=kind, size=size, aux=aux or None, stated=is_stated(rng)
         )
 
     return make
@@ -333,23 +338,22 @@ def _four_pads(nominal: NominalPlate, rng: np.random.Generator) -> Made:
 
 def _smooth(nominal: NominalPlate, rng: np.random.Generator) -> Made:
     kind = "former: smooth error of 1 %"
-    return lists.smooth(nominal, None, rng, kind=kind, rms=0.01, stated=_stated(rng))
+    return lists.smooth(nominal, None, rng, kind=kind, rms=0.01, stated=is_stated(rng))
 
 
-_ANY: Callable[[TruePlate], bool] = lambda true: True  # noqa: E731
 _FORMER: dict[str, tuple[Callable[[TruePlate], bool], Maker]] = {
-    "two accelerometers": (_ANY, _two_accelerometers),
-    "four pads": (_is_free, _four_pads),
-    "a ply missing": (_has_plies, _ply_missing),
+    "two accelerometers": (_any, _two_accelerometers),
+    "four pads": (is_free, _four_pads),
+    "a ply missing": (has_plies, _ply_missing),
     "tape": (lambda true: "F" in true.edges, _taped),
-    "plies turned": (_has_plies, _fixed("misorientation", 7.0, 11.0, "former: plies turned by 9 degrees")),
-    "smooth": (_ANY, _smooth),
-    "both tapers": (_ANY, _both_tapers),
+    "plies turned": (has_plies, _fixed("misorientation", 7.0, 11.0, "former: plies turned by 9 degrees")),
+    "smooth": (_any, _smooth),
+    "both tapers": (_any, _both_tapers),
     "corner": (
         lambda true: true.edges[2] == "F" and true.edges[3] == "F",
         _fixed("outline", 0.04, 0.1, "former: a missing corner", form="rectangle", x=1.0, y=1.0, ratio=1.0),
     ),
-    "mass and misread": (_ANY, _mass_and_misread),
+    "mass and misread": (_any, _mass_and_misread),
 }
 
 # Others
@@ -360,11 +364,11 @@ def _clean(nominal: NominalPlate, rng: np.random.Generator) -> Made:
 
 
 def _one(cause: str, nominal: NominalPlate, rng: np.random.Generator) -> Made:
-    return lists.single(nominal, cause, None, rng, kind="prior", stated=_stated(rng))
+    return lists.single(nominal, cause, None, rng, kind="prior", stated=is_stated(rng))
 
 
 def _of_strength(cause: str, ratio: float, nominal: NominalPlate, rng: np.random.Generator) -> Made:
-    return lists.single(nominal, cause, ratio, rng, stated=_stated(rng))
+    return lists.single(nominal, cause, ratio, rng, stated=is_stated(rng))
 
 
 def _two(causes: tuple[str, str], nominal: NominalPlate, rng: np.random.Generator) -> Made:
@@ -375,14 +379,14 @@ def _two(causes: tuple[str, str], nominal: NominalPlate, rng: np.random.Generato
         aux = FLAWS[cause].draw(true, rng)
         hidden[cause] = (FLAWS[cause].prior_size(true, rng), aux)
     try:
-        return lists.listed(nominal, true, "two", hidden, rng, stated=_stated(rng))
+        return lists.listed(nominal, true, "two", hidden, rng, stated=is_stated(rng))
     except BucklingError as error:
         raise UnreachableError(str(error)) from None
 
 
 def _misread(nominal: NominalPlate, rng: np.random.Generator) -> Made:
     return lists.misread(
-        nominal, float(np.exp(rng.uniform(np.log(4.0), np.log(60.0)))), rng, stated=_stated(rng)
+        nominal, float(np.exp(rng.uniform(np.log(4.0), np.log(60.0)))), rng, stated=is_stated(rng)
     )
 
 
@@ -394,7 +398,7 @@ def _missed(nominal: NominalPlate, rng: np.random.Generator) -> Made:
 def plans() -> Iterator[tuple[str, Callable[[TruePlate], bool], Maker]]:
     """Every list: its name, which plates will do, and how it is made."""
     for k in range(CLEAN):
-        yield f"clean-{k:02d}", _ANY, _clean
+        yield f"clean-{k:02d}", _any, _clean
     causes = list(FLAWS)
     for k in range(ONE):
         cause = causes[(7 * k) % len(causes)]
@@ -404,7 +408,7 @@ def plans() -> Iterator[tuple[str, Callable[[TruePlate], bool], Maker]]:
         if pair[0] != pair[1]:
             yield f"two-{k:02d}", partial(_both_apply, pair), partial(_two, pair)
     for k in range(OF_LIST):
-        yield f"list-{k:02d}", _ANY, _missed if k % 2 else _misread
+        yield f"list-{k:02d}", _any, _missed if k % 2 else _misread
     for name, (on, make) in _BEYOND.items():
         for k in range(BEYOND):
             yield f"beyond-{name.replace(' ', '-')}-{k}", on, make

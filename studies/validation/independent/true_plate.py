@@ -143,7 +143,7 @@ def weight(plate: TruePlate) -> float:
 def modes(plate: TruePlate, n_modes: int) -> tuple[Array, Array]:
     """Natural frequencies of the plate itself, Hz, and its modes (5 n, n_modes) at the nodes."""
     k, m, held = matrices(plate)
-    rigid = _RIGID_MOTIONS if _is_free(plate) else 0
+    rigid = _RIGID_MOTIONS if is_free(plate) else 0
     return elements.frequencies(k, m, held, n_modes, rigid, _about(plate))
 
 
@@ -382,11 +382,13 @@ def _is_clamped(plate: TruePlate) -> bool:
     return "C" in plate.edges
 
 
-def _is_free(plate: TruePlate) -> bool:
+def is_free(plate: TruePlate) -> bool:
+    """Whether no edge is held."""
     return set(plate.edges) == {"F"}
 
 
-def _has_plies(plate: TruePlate) -> bool:
+def has_plies(plate: TruePlate) -> bool:
+    """Whether it is a laminate."""
     return len(plate.angles_deg) > 1
 
 
@@ -498,7 +500,7 @@ FLAWS: dict[str, Flaw] = {
         Flaw("clamp_slip", _fixed(0.05), _fixed(0.3), _number("loose"), False, applies=_is_clamped),
         Flaw("clamp_length", _fixed(5e-4), _fixed(0.015), _longer, applies=_is_clamped),
         Flaw("sensor_mass", _fixed(0.01), _fixed(0.1), _loaded, False, _anywhere),
-        Flaw("support", _fixed(8.0), _fixed(25.0), _number("foundation_hz"), False, applies=_is_free),
+        Flaw("support", _fixed(8.0), _fixed(25.0), _number("foundation_hz"), False, applies=is_free),
         Flaw("thickness", _fixed(0.01), _fixed(0.3), _scaled("thickness")),
         Flaw("density", _fixed(0.01), _fixed(0.4), _scaled("density")),
         Flaw("length", _fixed(0.002), _fixed(0.1), _scaled("length")),
@@ -506,14 +508,14 @@ FLAWS: dict[str, Flaw] = {
         Flaw("frequency_scale", _fixed(0.002), _fixed(0.02), _number("scale")),
         Flaw("taper_x", _fixed(0.03), _fixed(0.3), _tapered(0)),
         Flaw("taper_y", _fixed(0.03), _fixed(0.3), _tapered(1)),
-        Flaw("skew", _fixed(1.0), _fixed(10.0), _number("skew_deg"), applies=_is_free),
-        Flaw("misorientation", _fixed(2.0), _fixed(45.0), _all_turned, applies=_has_plies),
-        Flaw("outer_ply_angle", _fixed(5.0), _fixed(45.0), _outer, applies=_has_plies),
+        Flaw("skew", _fixed(1.0), _fixed(10.0), _number("skew_deg"), applies=is_free),
+        Flaw("misorientation", _fixed(2.0), _fixed(45.0), _all_turned, applies=has_plies),
+        Flaw("outer_ply_angle", _fixed(5.0), _fixed(45.0), _outer, applies=has_plies),
         Flaw("inner_ply_angle", _fixed(20.0), _fixed(90.0), _inner, applies=_is_cross_ply),
         Flaw("warp", _fixed(5e-4), lambda p: 3.0 * p.thickness, _number("sag")),
         Flaw("membrane_stress", _fixed(3e5), _fixed(6e6), _number("stress")),
         Flaw("transverse_shear", _fixed(0.3), _fixed(1.5), _number("log_shear")),
-        Flaw("shear_ratio", _fixed(0.25), _fixed(0.8), _other_ratio, applies=_has_plies),
+        Flaw("shear_ratio", _fixed(0.25), _fixed(0.8), _other_ratio, applies=has_plies),
         Flaw("damage", _fixed(0.2), _fixed(0.9), _softer, False, _patch),
         Flaw("outline", _fixed(0.03), _fixed(0.15), _without, False, _cut),
         Flaw(
@@ -522,7 +524,7 @@ FLAWS: dict[str, Flaw] = {
             _fixed(2.5e-4),
             lambda plate, size, aux: replace(plate, skins=(size, size)),
             False,
-            applies=_has_plies,
+            applies=has_plies,
         ),
         Flaw("viscoelastic", _fixed(0.01), _fixed(0.08), _number("tan_delta"), False),
     )
