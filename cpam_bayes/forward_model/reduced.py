@@ -8,6 +8,7 @@ part of the box where a posterior lies fewer directions say as much.
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -36,15 +37,15 @@ Array = NDArray[Any]
 class ReductionSettings:
     """How a reduced model is built.
 
-    tolerance : relative error of a frequency allowed at the training sets.
-    training, checks : numbers of parameter sets that the basis is made from, and of fresh ones in a round.
+    tolerance : relative error of a frequency allowed at the parameter sets that the basis is made from.
+    training, checks : numbers of sets that are solved in the full space, and of fresh ones in a round.
     rounds : how often at most those with a larger error join the training.
     """
 
     tolerance: float = 5e-5
-    training: int = 32
-    checks: int = 16
-    rounds: int = 3
+    training: int = 16
+    checks: int = 8
+    rounds: int = 2
 
 
 DEFAULT_SETTINGS = ReductionSettings()
@@ -84,15 +85,10 @@ class ReducedModel:
 
 # Parameter sets that show the linear relations between the coefficients.
 _RELATIONS = 160
-# For each fresh set that is solved so many are looked at: those where a rougher basis differs most are
-# solved, and this fraction of all at random.
-_LOOKED_AT, _AT_RANDOM = 8, 0.25
-# Directions of the rougher basis over those of the basis.
-_ROUGHER = 0.8
-# How far from a set with a large error another one joins the training, of the prior box.
-_NEAR = 0.1
 # Modes of a block that are kept above those predicted, and to which fraction of their distance from these.
 _FURTHER, _ABOVE, _MOST_ABOVE = 1, 0.3, 0.1
+# The same of a wide basis: what a change of the plate makes of a mode is a sum of those above it.
+_FURTHER_OF_WIDE = 10
 # First step in the search for the number of directions; modes whose sets decide it.
 _FIRST_STEP, _HARDEST = 6, 12
 # Blocks up to this size take as long together as one of them.
@@ -101,8 +97,11 @@ _TINY = 5
 _ENTRIES = 4_000_000
 # Parameter sets at which rigid-body motions are computed: they depend on sizes alone.
 _RIGID_SETS = 4
-# Directions with less than this part of the energy of a mode are rounding.
-_LEAST = 1e-5
+# Directions with less than this part of a mode are rounding; energy of those left out of a wide basis, of the
+# tolerance.
+_LEAST, _LEAST_OF_WIDE = 1e-5, 0.02
+# Parameter sets that are solved on a wide basis, and checked there.
+_ON_WIDE = 96
 # Shift of the energy over the lowest eigenvalue: it makes a free plate stiff.
 _SHIFT = 0.5
 
@@ -112,33 +111,49 @@ def reduce(
 ) -> ReducedModel:
     """A reduced model that holds over the prior box of a converged plate.
 
-    Its basis comes from full solves at ``settings.training`` sets. In every round ``settings.checks`` fresh
-    sets are solved, most of them where the basis is least certain. Those whose error exceeds
-    ``settings.tolerance`` join the training, and with each of them another one near it.
+    A wide basis comes from full solves at ``settings.training`` sets, with many modes beyond those predicted:
+    what a change of the plate makes of a mode is a sum of others. It is checked at fresh sets. On it many more
+    sets are solved, and the principal directions of their modes are the basis.
     """
     problem, tolerance = model.operator.problem, settings.tolerance
     many = training_sets(problem, max(_RELATIONS, settings.training), rng)
     related = model.coefficients(spread_out(problem, many))
     full = replace(model, operator=compressed(model.operator, *related))
-    known = _solved(full, many[: settings.training], _FURTHER)
+
+    def fit(known: _Solved) -> PlateModel:
+        directions = _directions(full.operator, known, float(np.sqrt(_LEAST_OF_WIDE * tolerance)))
+        return _projected(full, known, directions, [block.size for _, block in directions])
+
+    wide = _checked(full, many[: settings.training], fit, _FURTHER_OF_WIDE, settings, rng)
+
+    def fit_on_wide(known: _Solved) -> PlateModel:
+        directions = _directions(wide.operator, known)
+        return _projected(wide, known, directions, _sizes(directions, known, tolerance))
+
+    many = training_sets(problem, _ON_WIDE, rng)
+    settings = replace(settings, checks=_ON_WIDE, rounds=1)
+    return ReducedModel(full, _checked(wide, many, fit_on_wide, _FURTHER, settings, rng), tolerance)
+
+
+def _checked(
+    model: PlateModel,
+    sets: Array,
+    fit: Callable[[_Solved], PlateModel],
+    further: int,
+    settings: ReductionSettings,
+    rng: np.random.Generator,
+) -> PlateModel:
+    """A smaller model that is fitted to the modes of another at parameter sets, and where it is found wrong."""
+    known = _solved(model, sets, further)
     for _ in range(settings.rounds):
-        directions = _directions(full.operator, known)
-        sizes = _sizes(directions, known, tolerance)
-        fine = _projected(full, known, directions, sizes)
-        rough = _projected(full, known, directions, [round(_ROUGHER * size) for size in sizes])
-        sets = training_sets(problem, _LOOKED_AT * settings.checks, rng)
-        doubt = np.abs(np.log(rough.predict(sets).frequencies / fine.predict(sets).frequencies)).max(axis=1)
-        doubt[: round(_AT_RANDOM * settings.checks)] = np.inf
-        sets = sets[np.argsort(-doubt, kind="stable")[: settings.checks]]
-        error = np.abs(fine.predict(sets).frequencies / full.predict(sets).frequencies - 1.0).max(axis=1)
-        bad = sets[error > tolerance]
+        small = fit(known)
+        fresh = training_sets(model.operator.problem, settings.checks, rng)
+        error = np.abs(small.predict(fresh).frequencies / model.predict(fresh).frequencies - 1.0).max(axis=1)
+        bad = fresh[error > settings.tolerance]
         if not len(bad):
-            return ReducedModel(full, fine, tolerance)
-        known = known.joined(_solved(full, np.concatenate((bad, _near(full, bad, rng))), _FURTHER))
-    directions = _directions(full.operator, known)
-    return ReducedModel(
-        full, _projected(full, known, directions, _sizes(directions, known, tolerance)), tolerance
-    )
+            return small
+        known = known.joined(_solved(model, bad, further))
+    return fit(known)
 
 
 def focused(model: ReducedModel, x: Array, tolerance: float, fraction: float = 1.0) -> ReducedModel:
@@ -163,13 +178,6 @@ def basis_error(model: ReducedModel, x: Array) -> Array:
         assert full.basis is not None
         full = model_on_basis(full.operator.problem, x, full.n_modes, full.error, full.basis)
     return np.asarray(np.abs(model.predict(x).frequencies / full.predict(x).frequencies - 1.0))
-
-
-def _near(model: PlateModel, x: Array, rng: np.random.Generator) -> Array:
-    """Another admissible set near each of parameter vectors (m, n), or the same."""
-    lower, upper = model.parameters.lower, model.parameters.upper
-    moved = np.clip(x + _NEAR * (upper - lower) * rng.standard_normal(x.shape), lower, upper)
-    return np.where(model.admissible(moved)[:, None], moved, x)
 
 
 def compressed(operator: DenseOperator, stiffness: Array, mass: Array) -> DenseOperator:
@@ -286,7 +294,9 @@ def _solved_at_once(model: PlateModel, x: Array, further: int) -> _Solved:
     return _Solved(stiffness, mass, ranked, n_rigid, tuple(blocks))
 
 
-def _directions(operator: DenseOperator, known: _Solved) -> list[tuple[int, DenseBlock]]:
+def _directions(
+    operator: DenseOperator, known: _Solved, least: float = _LEAST
+) -> list[tuple[int, DenseBlock]]:
     """Every block on its rigid-body motions, counted, and the principal directions of its modes.
 
     Modes have the same energy; directions are orthonormal in the energy of the first set, so that what is
@@ -297,9 +307,9 @@ def _directions(operator: DenseOperator, known: _Solved) -> list[tuple[int, Dens
     for block, modes in zip(operator.blocks, known.blocks, strict=True):
         energy = block.stiffness_at(known.stiffness[0]) + shift * block.mass_at(known.mass[0])
         root = np.linalg.cholesky(energy).T
-        rigid = _principal(root @ _rigid(block, known))
+        rigid = _principal(root @ _rigid(block, known), _LEAST)
         shapes = root @ (modes.vectors / np.sqrt(np.abs(modes.eigenvalues))[:, None]).T
-        every = np.column_stack((rigid, _principal(shapes - rigid @ (rigid.T @ shapes))))
+        every = np.column_stack((rigid, _principal(shapes - rigid @ (rigid.T @ shapes), least)))
         if every.shape[1]:
             every = scipy.linalg.solve_triangular(root, np.linalg.qr(every)[0])
         projected.append((rigid.shape[1], block.project(every)))
@@ -317,12 +327,12 @@ def _rigid(block: RitzBlock, known: _Solved) -> Array:
     return np.concatenate(vectors, axis=1)
 
 
-def _principal(columns: Array) -> Array:
-    """Orthonormal principal directions of columns (n, k), the largest first, (n, rank)."""
+def _principal(columns: Array, least: float) -> Array:
+    """Orthonormal principal directions of columns (n, k) above a least part, the largest first, (n, rank)."""
     if not columns.shape[1]:
         return np.empty((len(columns), 0))
     squares, vectors = np.linalg.eigh(columns @ columns.T)
-    return np.asarray(vectors[:, squares > _LEAST**2][:, ::-1])
+    return np.asarray(vectors[:, squares > least**2][:, ::-1])
 
 
 def _sizes(

@@ -71,12 +71,12 @@ class AffineMatrix:
     def norms(self, n_terms: int) -> Array:
         """Norm of the matrix of every term, (n_terms,)."""
         out = np.zeros(n_terms)
-        out[self.active] = np.linalg.norm(self.stack, axis=(1, 2))
+        out[self.active] = [np.linalg.norm(matrix.ravel()) for matrix in self.stack]
         return out
 
     def combined(self, kept: Array, relation: Array) -> AffineMatrix:
         """The sum in fewer terms, where coefficients are those kept (n_kept,) times ``relation``."""
-        return AffineMatrix(np.einsum("eq,qij->eij", relation[:, self.active], self.stack), kept)
+        return AffineMatrix(np.tensordot(relation[:, self.active], self.stack, 1), kept)
 
 
 def relations(coefficients: Array, norms: Array) -> tuple[Array, Array]:

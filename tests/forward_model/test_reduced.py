@@ -148,7 +148,7 @@ def test_checks_find_a_mode_that_the_first_training_lacks() -> None:
     full = reduced("D1").full
     x = compared("D1").x[:300]
     exact = full.predict(x).frequencies
-    few, checks = {"training": 6, "checks": 16}, (0, 3)
+    few, checks = {"training": 2, "checks": 16}, (0, 3)
     models = [reduce(full, np.random.default_rng(1), ReductionSettings(**few, rounds=n)) for n in checks]
     without, with_checks = (np.abs(m.predict(x).frequencies / exact - 1.0).max() for m in models)
     assert without > 5e-3
@@ -227,7 +227,7 @@ def test_reduced_derivatives_are_the_full_ones(name: str) -> None:
 
 
 def test_derivatives_are_those_of_differences() -> None:
-    # of fourth order; of three steps one keeps both its own error and rounding over it small
+    # of fourth order; of four steps one keeps both its own error and rounding over it small
     model = reduced("B1").fast
     x = compared("B1").x[:5]
     jacobian = model.predict(x, jacobian=True).jacobian
@@ -235,7 +235,7 @@ def test_derivatives_are_those_of_differences() -> None:
     for i, one in enumerate(x):
         for j in range(len(one)):
             scale, apart = np.abs(jacobian[i, :, j]).max(), []
-            for relative in (3e-3, 8e-3, 2e-2):
+            for relative in (3e-3, 8e-3, 2e-2, 5e-2):
                 step = relative * one[j] * np.eye(len(one))[j]
                 at = np.stack((one - 2 * step, one - step, one + step, one + 2 * step))
                 f = model.predict(at).frequencies
