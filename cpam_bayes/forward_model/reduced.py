@@ -111,9 +111,9 @@ def reduce(
 ) -> ReducedModel:
     """A reduced model that holds over the prior box of a converged plate.
 
-    A wide basis comes from full solves at ``settings.training`` sets, with many modes beyond those predicted:
-    what a change of the plate makes of a mode is a sum of others. It is checked at fresh sets. On it many more
-    sets are solved, and the principal directions of their modes are the basis.
+    A wide basis comes from full solves at ``settings.training`` sets, with many modes beyond those
+    predicted: what a change of the plate makes of a mode is a sum of others. It is checked at fresh sets.
+    On it many more sets are solved, and the principal directions of their modes are the basis.
     """
     problem, tolerance = model.operator.problem, settings.tolerance
     many = training_sets(problem, max(_RELATIONS, settings.training), rng)
@@ -143,7 +143,7 @@ def _checked(
     settings: ReductionSettings,
     rng: np.random.Generator,
 ) -> PlateModel:
-    """A smaller model that is fitted to the modes of another at parameter sets, and where it is found wrong."""
+    """A smaller model, fitted to the modes of another at sets (m, n) and where it is found wrong."""
     known = _solved(model, sets, further)
     for _ in range(settings.rounds):
         small = fit(known)
