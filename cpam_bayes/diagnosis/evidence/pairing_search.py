@@ -38,6 +38,9 @@ Array = NDArray[Any]
 
 # Draws that each pairing is fitted from, those that go on, and the steps of both rounds.
 _FIRST, _FIRST_STEPS, _SECOND, _SECOND_STEPS = 5, 4, 2, 14
+# Log density, a factor on the best one and nats below that, under which a fit does not go on: with more noise
+# than in the first round it would still be far behind. A step gains at most so many times what it promises.
+_HOPELESS, _HOPELESS_NATS, _OVERSHOOT = 4.0, 50.0, 2.0
 # Scores of an inferred noise at which a fit is valued.
 _NOISE_SCORES = np.linspace(-2.5, 2.5, 9)
 
@@ -80,11 +83,15 @@ def repairings(
         starts.append(np.concatenate((known, draws[order[:_FIRST]])))
     s, n = starts[0].shape
     rows = np.repeat(np.arange(len(variants)), s)
-    z, value = _maximised(plain, wide, np.concatenate(starts), index[rows], mask[rows], _FIRST_STEPS)
+    z, value, within_reach = _maximised(
+        plain, wide, np.concatenate(starts), index[rows], mask[rows], _FIRST_STEPS
+    )
     order = np.argsort(-value.reshape(-1, s), axis=1, kind="stable")[:, :_SECOND]
-    begin = np.take_along_axis(z.reshape(-1, s, n), order[..., None], axis=1).reshape(-1, n)
-    rows = np.repeat(np.arange(len(variants)), _SECOND)
-    z, value = _maximised(plain, wide, begin, index[rows], mask[rows], _SECOND_STEPS)
+    chosen = (order + s * np.arange(len(variants))[:, None]).ravel()
+    rows, z = rows[chosen], z[chosen]
+    go_on = within_reach[chosen] > _HOPELESS * value.max() - _HOPELESS_NATS
+    at = rows[go_on]
+    z[go_on] = _maximised(plain, wide, z[go_on], index[at], mask[at], _SECOND_STEPS)[0]
     value = _over_noise(plain, wide, z, index[rows], mask[rows]).reshape(-1, _SECOND)
     z = z.reshape(-1, _SECOND, n)
     fits = []
@@ -136,8 +143,8 @@ def _indices(
 
 def _maximised(
     plain: LogDensity, wide: LogDensity, z: Array, index: Array, mask: Array, steps: int
-) -> tuple[Array, Array]:
-    """Optima of constants at held noise, one pairing a row."""
+) -> tuple[Array, Array, Array]:
+    """Optima of constants at held noise, one pairing a row; log densities there, and a step further."""
     n = plain.parameters.size
     held = np.arange(n) >= plain.model.parameters.size
 
@@ -164,7 +171,10 @@ def _maximised(
 
     bound = np.full(n, MAX_SCORE)
     maxima = maximise(target, z, -bound, bound, most_steps=steps, promised=1e-2)
-    return maxima.u, np.where(np.isfinite(maxima.expansion.value), maxima.expansion.value, -1e300)
+    e = maxima.expansion
+    value = np.where(np.isfinite(e.value), e.value, -1e300)
+    step = np.linalg.solve(e.curvature, e.gradient[..., None])[..., 0]
+    return maxima.u, value, value + _OVERSHOOT * 0.5 * np.sum(e.gradient * step, axis=1)
 
 
 def _over_noise(plain: LogDensity, wide: LogDensity, z: Array, index: Array, mask: Array) -> Array:
