@@ -12,6 +12,7 @@ import pytest
 from cpam_bayes.diagnosis.answers.detectability import detectable, linear_oracle, shift_lines
 from cpam_bayes.diagnosis.comparison import PlateCase, comparison_of, effect_columns
 from cpam_bayes.diagnosis.evidence import weighing as pairs
+from cpam_bayes.diagnosis.evidence.scan import EXPLAINED, misfit_probability
 from cpam_bayes.diagnosis.evidence.weighing import Weighed, marginal_of, weigh
 from cpam_bayes.diagnosis.hypotheses import (
     NONE,
@@ -160,6 +161,19 @@ def test_a_pair_is_found_though_other_causes_look_more_like_it_alone() -> None:
     two = [t.hypothesis for t in found.tested if t.hypothesis.family == "set"]
     assert len({frozenset(h.causes) for h in two}) == len({h.cause for h in two})
     assert len({(h.cause, h.variant) for h in two}) == len(two)
+
+
+def test_a_pair_is_found_though_one_cause_happens_to_explain_the_list() -> None:
+    # a flexible cause, a mass anywhere for instance, can come near to two others at once
+    likeness = BUMP + DENT + 0.105 * np.array([1.0, -1.0, 0.5, 1.0, 1.0, -1.0, 0.0, 1.0])
+    happens = cause("happens", whole_normal(0.02))
+    f = F0 * (1.0 + A @ [0.03, -0.04] + 0.03 * BUMP + 0.03 * DENT) * (1.0 + NOISE * SCATTER)
+    effects = [(BENT, straight(BUMP)), (DENTED, straight(DENT)), (happens, straight(likeness))]
+    singles = [hypothesis(effect, 0.1) for effect, _ in effects]
+    found = weigh([case(a_list(f, NOISE), effects)], of_one(NOTHING, ANYTHING, *singles))
+    alone = next(t for t in found.tested if t.hypothesis.cause == "happens" and not t.hypothesis.has_leftover)
+    assert misfit_probability(alone.marginal) > EXPLAINED
+    assert found.by_cause().get("bent + dented", 0.0) > 0.4
 
 
 def test_a_pair_is_the_same_whichever_cause_is_first() -> None:
