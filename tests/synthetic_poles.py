@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cpam_bayes.plate.modal_analysis.read import FrequencyResponses
+from validation.recorded_hits import eigenvalues
 
 
 @dataclass(frozen=True)
@@ -17,11 +18,6 @@ class Known:
     frequencies: np.ndarray
     damping: np.ndarray
     peak_over_noise: np.ndarray
-
-
-def eigenvalues(frequencies: np.ndarray, damping: np.ndarray) -> np.ndarray:
-    omega = 2.0 * np.pi * frequencies
-    return -damping * omega + 1j * omega * np.sqrt(1.0 - damping**2)
 
 
 def accelerance(lines: np.ndarray, s: np.ndarray, residues: np.ndarray) -> np.ndarray:

@@ -17,10 +17,10 @@ import cpam_bayes as cb
 from cpam_bayes.answer import Notice
 from cpam_bayes.plate.modal_analysis.fit import fit_poles, is_of_mains, stabilise
 from cpam_bayes.plate.modal_analysis.read import FrequencyResponses, ModalTestError
-from tests.faulty_hits import RATE as RATE_OF_HITS
-from tests.faulty_hits import Faults, recorded_hits
 from tests.plate_file import BAR
 from tests.synthetic_poles import accelerance, eigenvalues, known_test
+from validation.recorded_hits import RATE as RATE_OF_HITS
+from validation.recorded_hits import Faults, recorded_hits
 
 FREQUENCIES, DAMPING = np.array([81.0, 147.3, 149.6, 220.4, 311.0]), np.array([5, 4, 5, 6, 3]) * 1e-3
 LINES = np.arange(0.5, 400.0, 0.5)

@@ -14,8 +14,8 @@ from scipy.io import wavfile
 import cpam_bayes as cb
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate.modal_analysis.peaks import false_peaks, mode_probability
-from tests.faulty_hits import RATE, Faults, recorded_hits
 from tests.plate_file import PLATE
+from validation.recorded_hits import RATE, Faults, recorded_hits
 
 # Peaks that are no modes of the aluminium plate of the tests, whose E is 69 GPa.
 NO_MODES = (193.0, 420.0)

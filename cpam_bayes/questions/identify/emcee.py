@@ -113,6 +113,7 @@ class SampledResult(PlateResult):
     modes : the model's modes at the most probable draw
     shapes : of these modes, (n_modes, 3, n, n), u, v and w on a regular grid
     pairing : of the measured frequencies with them
+    pairing_probability : (n,) of candidate peaks, of each in it; None of a list
     p_value : posterior predictive p-value of the sum of squared standardised residuals
     explained : whether the noise as stated explains the misfit
     laminate : name -> (mean, sd)
@@ -140,6 +141,7 @@ class SampledResult(PlateResult):
     modes: tuple[Mode, ...]
     shapes: Array
     pairing: Pairing
+    pairing_probability: Array | None
     p_value: float
     explained: bool
     laminate: Mapping[str, tuple[float, float]]
@@ -179,12 +181,16 @@ class SampledResult(PlateResult):
     def frequencies(self) -> tuple[FrequencyRow, ...]:
         """One row for each measured frequency, Hz; nothing is predicted for one that belongs to no mode."""
         rows = []
-        for f, j in zip(self.posterior.measurement.frequencies, self.pairing.mode, strict=True):
+        measured, of_pair = self.posterior.measurement.frequencies, self.pairing_probability
+        for i, (f, j) in enumerate(zip(measured, self.pairing.mode, strict=True)):
+            probability = None if of_pair is None else float(of_pair[i])
             if j < 0:
-                rows.append(FrequencyRow(float(f), None))
+                rows.append(FrequencyRow(float(f), None, probability=probability))
                 continue
             mode, mean, sd = self.modes[j], float(self.predicted[j]), float(self.predicted_sd[j])
-            rows.append(FrequencyRow(float(f), mean, mode.kind, mode.label, int(j) + 1, sd))
+            rows.append(
+                FrequencyRow(float(f), mean, mode.kind, mode.label, int(j) + 1, sd, probability=probability)
+            )
         return tuple(rows)
 
     def texts(self) -> Mapping[str, str]:
@@ -383,6 +389,9 @@ def _summarise(
         modes=shown_modes,
         shapes=model.full.shapes(best[:n])[order],
         pairing=pairing,
+        pairing_probability=None
+        if measurement.mode_probability is None
+        else posterior.pairing_probability(few, pairing),
         p_value=p_value,
         explained=explained,
         laminate=_laminate(model, few[:, :n]),
