@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cpam_bayes.plate.modal_analysis.read import FrequencyResponses
+from cpam_bayes.plate.modal_analysis.hits import FrequencyResponses
 from validation.recorded_hits import eigenvalues
 
 

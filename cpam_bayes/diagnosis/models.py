@@ -164,6 +164,7 @@ def _tolerances(specimen: Specimen, parameters: ParameterSet, bare: ReducedModel
 
 def _facts(specimen: Specimen, parameters: ParameterSet, model: ForwardModel) -> PlateFacts:
     middle = reference_vector(specimen, parameters)
+    losses = None if specimen.measurement is None else specimen.measurement.loss_factors
     return PlateFacts.of(
         specimen.plate,
         specimen.material.isotropic,
@@ -171,6 +172,7 @@ def _facts(specimen: Specimen, parameters: ParameterSet, model: ForwardModel) ->
         air_is_known=specimen.air_density is not None,
         has_references=bool(specimen.material.sd),
         first_frequency=float(model.predict(middle[None]).frequencies[0, 0]),
+        loss_factor=None if losses is None else float(np.nanmedian(losses)),
     )
 
 

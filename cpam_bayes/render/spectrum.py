@@ -107,18 +107,22 @@ def peak_rows(measurement: Measurement | None, rows: Iterable[FrequencyRow]) -> 
     if measurement is None or measurement.mode_probability is None:
         return Rows("peaks", _COLUMNS, ())
     of = {row.measured: row for row in rows}
+    poles = () if measurement.test is None else measurement.test.poles
+    otherwise = {one.frequency: one.taken.value for one in poles if one.taken is Taken.SECOND_HIT}
     peaks = []
     for i, f in enumerate(measurement.frequencies.tolist()):
         row = of.get(f)
         certainty = None if row is None else row.probability
         row = None if row is None or row.predicted is None else row
         damping = None if measurement.damping is None else float(measurement.damping[i])
-        taken = "no mode" if row is None else f"mode {row.number} {row.label or ''}".rstrip()
+        taken = (
+            otherwise.get(f, "no mode") if row is None else f"mode {row.number} {row.label or ''}".rstrip()
+        )
         predicted = None if row is None else row.predicted
         peaks.append(_Peak(f, float(measurement.mode_probability[i]), damping, predicted, taken, certainty))
     peaks += [
         _Peak(one.frequency, None, one.damping, None, one.taken.value)
-        for one in (() if measurement.test is None else measurement.test.poles)
+        for one in poles
         if one.taken is Taken.HUM
     ]
     return Rows("peaks", _COLUMNS, tuple(sorted(peaks, key=lambda peak: peak.frequency)))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.stats import f as f_distribution
 
-from cpam_bayes.plate.modal_analysis.read import MAINS, FrequencyResponses
+from cpam_bayes.plate.modal_analysis.hits import MAINS, FrequencyResponses
 from cpam_bayes.plate.modes_of_hits import small_sample_factor
 
 __all__ = [
@@ -78,6 +78,7 @@ class Taken(Enum):
     WEAK = "weak"
     RARE = "too few hits"
     HUM = "hum"
+    SECOND_HIT = "second hit"
 
 
 @dataclass(frozen=True, slots=True)
@@ -311,15 +312,19 @@ def with_others(candidates: Array, others: Array) -> Array:
     return np.array(sorted((*candidates, *new), key=lambda s: s.imag), dtype=complex)
 
 
-def modes_of_hits(each: Sequence[Sequence[Pole]], step: float) -> tuple[Pole, ...]:
+def modes_of_hits(
+    each: Sequence[Sequence[Pole]], step: float, struck_twice: Sequence[bool] = ()
+) -> tuple[Pole, ...]:
     """One table of the poles of every hit, ascending, each with what it was taken for.
 
     Poles of different hits within 2.5 % are one, the nearest first. The standard deviation is that of the
     mean over the hits, from their scatter and as `small_sample_factor` says, and not below that of the fits.
     A mode shows in half the hits, at least in two of several, and its peak is more than 0.6 of what is there
-    beside it. A tone at a multiple of the mains that does not decay is hum.
+    beside it. A tone at a multiple of the mains that does not decay is hum. What is no mode and shows in hits
+    alone that the hammer struck twice, where it struck others once, is of the second hit.
 
     step : between two lines, Hz
+    struck_twice : for each hit; empty where none was
     """
     groups = [{number: pole} for number, poles in enumerate(each) for pole in poles]
     groups.sort(key=lambda group: next(iter(group.values())).frequency)
@@ -330,7 +335,14 @@ def modes_of_hits(each: Sequence[Sequence[Pole]], step: float) -> tuple[Pole, ..
         at = int(np.argmin(gaps))
         groups[at : at + 2] = [groups[at] | groups[at + 1]]
     needed = 1 if len(each) == 1 else max(2, (len(each) + 1) // 2)
-    return tuple(_classed(_mean(group, len(each)), needed, step) for group in groups)
+    once = {k for k in range(len(each)) if not (struck_twice and struck_twice[k])}
+    found = (_classed(_mean(group, len(each)), needed, step) for group in groups)
+    return tuple(
+        replace(pole, taken=Taken.SECOND_HIT)
+        if pole.taken in (Taken.WEAK, Taken.RARE) and once and not once & group.keys()
+        else pole
+        for pole, group in zip(found, groups, strict=True)
+    )
 
 
 def is_of_mains(frequency: float, step: float) -> bool:
@@ -443,7 +455,7 @@ def _of_octave(
     """The fields of a `Stabilisation` of one band."""
     even, plain = (_stable(_poles(responses, low, high, order, evenly)) for evenly in (True, False))
     candidates = with_others(
-        *(_candidates(s[kept], orders[kept], order) for orders, s, kept in (even, plain))
+        *(_candidates(s[kept], orders[kept], int(orders.max(initial=0))) for orders, s, kept in (even, plain))
     )
     orders, s, stable = even
     return orders, np.abs(s) / (2.0 * np.pi), -s.real / np.abs(s), stable, candidates
@@ -498,7 +510,10 @@ def _poles(
 
 
 def _candidates(s: Array, orders: Array, order: int) -> Array:
-    """Median poles of groups that stay over many orders, ascending."""
+    """Median poles of groups that stay over many orders, ascending.
+
+    order : of the largest model, which an octave of few lines has below the one that was asked for
+    """
     order_of = np.argsort(s.imag, kind="stable")
     left = [int(i) for i in order_of]
     poles = []

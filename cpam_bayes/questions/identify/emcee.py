@@ -72,6 +72,8 @@ Array = NDArray[Any]
 _TOUCH = 0.01
 # Fraction of draws next to a bound that an even density over the interval would not put there.
 _AT_BOUND = 0.05
+# A candidate peak of this probability, by its height, that is taken for no mode is told of.
+_STANDING = 0.9
 # Draws that predictions and laminate constants are averaged over.
 _PREDICTIVE_DRAWS = 1000
 # Of these the draws at which the basis is checked by full solves.
@@ -411,9 +413,19 @@ def _summarise(
             *slips,
             *(() if slips or noise is None else high_noise_notices(noise.mean)),
             *sampled_notices(specimen, posterior, result, constants, shown_modes, p_value, doubt, shapes),
+            *_left_out_peaks(measurement, pairing),
             *exchange_notices(specimen),
         ),
     )
+
+
+def _left_out_peaks(measurement: Measurement, pairing: Pairing) -> tuple[Notice, ...]:
+    """Candidates that stand out as modes do, and that the model has no mode for: it may lack something."""
+    if measurement.mode_probability is None:
+        return ()
+    left = (pairing.mode < 0) & (measurement.mode_probability > _STANDING)
+    peaks = tuple(measurement.frequencies[left].tolist())
+    return (Notice("left_out_peaks", facts={"peaks": peaks}),) if peaks else ()
 
 
 def _residuals(measurement: Measurement, predicted: Array, pairing: Pairing) -> Array:
