@@ -413,13 +413,13 @@ def _summarise(
             *slips,
             *(() if slips or noise is None else high_noise_notices(noise.mean)),
             *sampled_notices(specimen, posterior, result, constants, shown_modes, p_value, doubt, shapes),
-            *_left_out_peaks(measurement, pairing),
+            *left_out_peaks(measurement, pairing),
             *exchange_notices(specimen),
         ),
     )
 
 
-def _left_out_peaks(measurement: Measurement, pairing: Pairing) -> tuple[Notice, ...]:
+def left_out_peaks(measurement: Measurement, pairing: Pairing) -> tuple[Notice, ...]:
     """Candidates that stand out as modes do, and that the model has no mode for: it may lack something."""
     if measurement.mode_probability is None:
         return ()
