@@ -48,4 +48,4 @@ def known_test(rng: np.random.Generator, n_responses: int = 3, noise: float = 0.
     sd = noise * np.abs(frf).max(axis=1, keepdims=True)
     peak = np.max(np.abs(residues * s**2 / s.real) / sd, axis=0)
     noisy = frf + sd * (rng.standard_normal(frf.shape) + 1j * rng.standard_normal(frf.shape)) / np.sqrt(2.0)
-    return Known(FrequencyResponses(lines, noisy, 0.0, 0.0, "synthetic"), f, damping, peak)
+    return Known(FrequencyResponses(lines, noisy, 0.0, "synthetic"), f, damping, peak)

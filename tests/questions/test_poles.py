@@ -32,7 +32,7 @@ def responses(noise: float = 1e-3, n_responses: int = 2, seed: int = 0) -> Frequ
     frf = accelerance(LINES, s, rng.uniform(0.5, 1.5, (n_responses, len(s))) / (2j * s.imag))
     sd = noise * np.abs(frf).max()
     frf = frf + sd * (rng.standard_normal(frf.shape) + 1j * rng.standard_normal(frf.shape))
-    return FrequencyResponses(LINES, frf, 0.0, 0.0, "synthetic")
+    return FrequencyResponses(LINES, frf, 0.0, "synthetic")
 
 
 def assert_known(modes, within: float = 4.0, rtol: float = 0.0) -> None:
@@ -483,8 +483,8 @@ def test_a_response_that_is_one_tone_beyond_the_range_is_a_sensor_that_rings(tmp
 def test_where_neighbours_are_louder_a_peak_is_off_its_pole() -> None:
     lines, s = np.arange(0.5, 400.0, 0.5), eigenvalues(np.array([190.0, 200.0]), np.array([0.01, 0.01]))
     frf = accelerance(lines, s, np.array([[-3.0, 1.0]]) / (2j * s.imag))
-    candidates = stabilise(FrequencyResponses(lines, frf, 0.0, 0.0, "synthetic"), 100.0, 300.0, 20).candidates
-    _, weak = fit_poles(FrequencyResponses(lines, frf, 0.0, 0.0, "synthetic"), candidates)
+    candidates = stabilise(FrequencyResponses(lines, frf, 0.0, "synthetic"), 100.0, 300.0, 20).candidates
+    _, weak = fit_poles(FrequencyResponses(lines, frf, 0.0, "synthetic"), candidates)
     assert weak.frequency == pytest.approx(200.0, abs=1e-3)
     assert weak.peak == 198.5  # most of its half width of 2 Hz away
 

@@ -46,7 +46,7 @@ _RESIDUAL_DEGREE: Final = 2
 _SIGNIFICANT: Final = 1e-6
 # A fit that moves a pole further than this, in half widths of its peak, has found another.
 _FAR: Final = 2.0
-_STEPS, _ROUNDS = 25, 1
+_STEPS: Final = 25
 # A fit ends where steps are below this part of the half widths.
 _SMALL: Final = 1e-4
 # Columns of a basis are held by the others where no more than this is left of them.
@@ -270,8 +270,7 @@ def fit_poles(responses: FrequencyResponses, candidates: Array) -> tuple[Pole, .
     response's own, and wider by their correlation from line to line where there is one and as
     `small_sample_factor` says. Poles that cancel each other are refused.
     """
-    for _ in range(_ROUNDS):
-        candidates = _refined(responses, candidates)
+    candidates = _refined(responses, candidates)
     poles = []
     for i, s in enumerate(candidates):
         band, free = _band_about(responses, candidates, i)

@@ -48,7 +48,6 @@ class FrequencyResponses:
     frequencies : (n,) Hz
     frf : (n_responses, n) complex, response over force, or the spectrum of a free decay
     added_decay : rad/s that a window adds to the decay of every mode
-    correlation : of the noise of a line with that of the next one, by the window
     origin : the format and what was read, in words
     notices : what makes them doubtful
     hit : (n_responses,) the number of the hit of each, from 0; empty where all are of one
@@ -58,7 +57,6 @@ class FrequencyResponses:
     frequencies: Array
     frf: Array
     added_decay: float
-    correlation: float
     origin: str
     notices: tuple[Notice, ...] = ()
     hit: tuple[int, ...] = ()
@@ -296,7 +294,6 @@ def responses_of_hits(
         frequencies[:end],
         frf[:, :end],
         decay,
-        1.0 / (1.0 + (np.pi * rate / (decay * n)) ** 2) if decay else 0.0,
         f"{many} of {n / rate:.3g} s, {_channels(recordings[0], hits[0])}; window: {window}",
         notices,
         tuple(np.repeat(np.arange(len(hits)), recordings[0].responses.shape[0]).tolist()),

@@ -87,7 +87,7 @@ def read_responses(
         raise ModalTestError("files with different lines of frequency, accepted: the same in all")
     origins = list(dict.fromkeys(one.origin for one in of_files))
     frf = np.vstack([one.frf for one in of_files])
-    return FrequencyResponses(first.frequencies, frf, 0.0, 0.0, "; ".join(origins))
+    return FrequencyResponses(first.frequencies, frf, 0.0, "; ".join(origins))
 
 
 def of_folder(name: str) -> list[str]:
@@ -245,7 +245,7 @@ def _checked(name: str, frequencies: Array, frf: Array, origin: str) -> Frequenc
             raise ModalTestError(
                 f"{name}: response {number} {what}, accepted: {_LEAST_SIZE:g} to {_MOST_SIZE:g}"
             )
-    return FrequencyResponses(frequencies, frf, 0.0, 0.0, origin)
+    return FrequencyResponses(frequencies, frf, 0.0, origin)
 
 
 def _recording(name: str, force: int | None, response: Sequence[int]) -> Recording:
