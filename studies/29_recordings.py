@@ -243,15 +243,14 @@ def sections(results: Results) -> dict[str, str]:
         else f" ({c['inside'] / c['constants']:.3f}, standard error {c['inside_se']:.3f})"
     )
     said = (
-        f"{c['plates']} plates of independent finite elements were hit one to six times, with hum, second "
-        "strokes, clipped files, modes that no sensor saw and up to three resonances that are none of the "
-        f"plate. In {c['right']} plates every peak that was taken for a mode was that mode, in {c[SUMMED]} "
-        f"the wrong ones had a stated probability below {STATED:g}, in {c['wrong']} they had not. "
-        f"{c['inside']} of {c['constants']} constants{error} lay in their 95 % intervals, "
-        f"{c['determined_inside']} of the {c['determined']} that the peaks determine to {DETERMINED:g} %; of "
-        "others the data sheet's 25 to 40 % are wider than the 5 % by which the plates differ. Reading the "
-        f"recordings of a plate took {c['reading_median_s']:.1f} s, at most {c['reading_most_s']:.1f} s, "
-        "beyond the identification."
+        f"{c['plates']} plates of independent elements were hit one to six times, with hum, second strokes, "
+        "clipped files, unseen modes and up to three resonances that are none of the plate. In "
+        f"{c['right']} plates every peak that was taken for a mode was of it, in {c[SUMMED]} wrong ones had "
+        f"probabilities below {STATED:g}, in {c['wrong']} not. {c['inside']} of {c['constants']} "
+        f"constants{error} lay in their 95 % intervals, {c['determined_inside']} of the {c['determined']} "
+        f"that the peaks determine to {DETERMINED:g} %; the data sheet's 25 to 40 % make others wider than the "
+        f"5 % by which the plates differ. The recordings took {c['reading_median_s']:.1f} s, at most "
+        f"{c['reading_most_s']:.1f} s, beyond the identification."
     )
     return {"plates": paragraph(said)}
 
