@@ -248,8 +248,8 @@ def sections(results: Results) -> dict[str, str]:
         f"{c['right']} plates every peak that was taken for a mode was of it, in {c[SUMMED]} wrong ones had "
         f"probabilities below {STATED:g}, in {c['wrong']} not. {c['inside']} of {c['constants']} "
         f"constants{error} lay in their 95 % intervals, {c['determined_inside']} of the {c['determined']} "
-        f"that the peaks determine to {DETERMINED:g} %; the data sheet's 25 to 40 % make others wider than the "
-        f"5 % by which the plates differ. The recordings took {c['reading_median_s']:.1f} s, at most "
+        f"that the peaks determine to {DETERMINED:g} %; the data sheet's 25 to 40 % make others wider than "
+        f"the 5 % by which the plates differ. The recordings took {c['reading_median_s']:.1f} s, at most "
         f"{c['reading_most_s']:.1f} s, beyond the identification."
     )
     return {"plates": paragraph(said)}
