@@ -110,6 +110,7 @@ class FrequencyRow:
     number : of the mode, ascending from 1, or 0
     kind : bending, in-plane or coupled; label : by nodal lines, (1,1)
     plate : name of the plate, for several
+    probability : of a candidate peak, that it is what it was paired with; None of others
     """
 
     measured: float | None
@@ -119,6 +120,7 @@ class FrequencyRow:
     number: int = 0
     predicted_sd: float = math.nan
     plate: str = ""
+    probability: float | None = None
 
     @property
     def residual(self) -> float | None:

@@ -36,7 +36,7 @@ from cpam_bayes.errors import ArgumentError, LayupError, PlateFileError
 from cpam_bayes.plate import parse_specimen
 from cpam_bayes.plate.instruments import MAX_UNIVERSAL_BYTES, UniversalFileError, read_shapes
 from cpam_bayes.plate.layup import parse_layup
-from cpam_bayes.plate.modal_analysis.read import ModalTestError
+from cpam_bayes.plate.modal_analysis.hits import ModalTestError
 from cpam_bayes.plate.modes_of_hits import modes_of
 from cpam_bayes.plate.modes_table import read_modes_table
 from cpam_bayes.render.report import Heading, Table

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cpam_bayes.plate.modal_analysis.read import FrequencyResponses
+from cpam_bayes.plate.modal_analysis.hits import FrequencyResponses
+from validation.recorded_hits import eigenvalues
 
 
 @dataclass(frozen=True)
@@ -17,11 +18,6 @@ class Known:
     frequencies: np.ndarray
     damping: np.ndarray
     peak_over_noise: np.ndarray
-
-
-def eigenvalues(frequencies: np.ndarray, damping: np.ndarray) -> np.ndarray:
-    omega = 2.0 * np.pi * frequencies
-    return -damping * omega + 1j * omega * np.sqrt(1.0 - damping**2)
 
 
 def accelerance(lines: np.ndarray, s: np.ndarray, residues: np.ndarray) -> np.ndarray:
@@ -52,4 +48,4 @@ def known_test(rng: np.random.Generator, n_responses: int = 3, noise: float = 0.
     sd = noise * np.abs(frf).max(axis=1, keepdims=True)
     peak = np.max(np.abs(residues * s**2 / s.real) / sd, axis=0)
     noisy = frf + sd * (rng.standard_normal(frf.shape) + 1j * rng.standard_normal(frf.shape)) / np.sqrt(2.0)
-    return Known(FrequencyResponses(lines, noisy, 0.0, 0.0, "synthetic"), f, damping, peak)
+    return Known(FrequencyResponses(lines, noisy, 0.0, "synthetic"), f, damping, peak)

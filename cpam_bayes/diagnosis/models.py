@@ -164,6 +164,8 @@ def _tolerances(specimen: Specimen, parameters: ParameterSet, bare: ReducedModel
 
 def _facts(specimen: Specimen, parameters: ParameterSet, model: ForwardModel) -> PlateFacts:
     middle = reference_vector(specimen, parameters)
+    losses = None if specimen.measurement is None else specimen.measurement.loss_factors
+    known = np.array([]) if losses is None else losses[np.isfinite(losses)]
     return PlateFacts.of(
         specimen.plate,
         specimen.material.isotropic,
@@ -171,6 +173,7 @@ def _facts(specimen: Specimen, parameters: ParameterSet, model: ForwardModel) ->
         air_is_known=specimen.air_density is not None,
         has_references=bool(specimen.material.sd),
         first_frequency=float(model.predict(middle[None]).frequencies[0, 0]),
+        loss_factor=float(np.median(known)) if len(known) else None,
     )
 
 

@@ -205,6 +205,7 @@ class Peak(TypedDict):
     damping: Annotated[Number, Field(description="ratio")]
     predicted_hz: Annotated[Number, Field(description="of the mode that it was paired with, Hz")]
     taken: Annotated[str, Field(description="what it was taken for")]
+    probability: Annotated[Number | None, Field(description="of what it was taken for")]
 
 
 class HandledMode(TypedDict):

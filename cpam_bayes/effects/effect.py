@@ -59,6 +59,7 @@ class PlateFacts:
     has_references : whether reference values narrow the priors of the constants
     first_frequency : of the bare plate at its reference constants, Hz, if known
     weighed : whether the mass was measured: then it stays where a size is another one
+    loss_factor : measured, the median of the modes; None without their damping
     """
 
     length: float
@@ -73,6 +74,7 @@ class PlateFacts:
     has_references: bool = False
     first_frequency: float | None = None
     weighed: bool = False
+    loss_factor: float | None = None
 
     @classmethod
     def of(
@@ -83,13 +85,16 @@ class PlateFacts:
         air_is_known: bool = False,
         has_references: bool = False,
         first_frequency: float | None = None,
+        loss_factor: float | None = None,
     ) -> PlateFacts:
         """The facts of a measured plate."""
         sides = (plate.length, plate.width, plate.thickness)
         mass = plate.density * plate.thickness * plate.area
         known = (loaded, air_is_known, has_references)
         weighed = plate.mass is not None
-        return cls(*sides, plate.layup, plate.edges, isotropic, mass, *known, first_frequency, weighed)
+        return cls(
+            *sides, plate.layup, plate.edges, isotropic, mass, *known, first_frequency, weighed, loss_factor
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -536,6 +541,12 @@ def _stiffened(frequencies: Array, values: Values) -> Array:
     return np.asarray(frequencies * np.exp(slope * np.log(frequencies / frequencies[..., :1])))
 
 
+def _measured_loss(facts: PlateFacts) -> float:
+    """A measured loss factor, of all losses, over the loss tangent of the prior, which it can only lower."""
+    return 1.0 if facts.loss_factor is None else min(facts.loss_factor / _LOSS_TANGENT, 1.0)
+
+
+_LOSS_TANGENT = 0.01
 FREQUENCY_SCALE = Effect(
     name="frequency_scale",
     title="wrong frequency scale",
@@ -552,9 +563,10 @@ VISCOELASTIC = Effect(
     title="frequency-dependent stiffness",
     family="damping",
     belongs_to="material",
-    parameters=(one_sided("loss_tangent", "", 0.01, 0.05),),
-    note="d ln f = (tan delta / pi) ln(f / f_1), after the plate",
+    parameters=(one_sided("loss_tangent", "", _LOSS_TANGENT, 0.05),),
+    note="d ln f = (tan delta / pi) ln(f / f_1), after the plate; 1 sd is a measured loss factor below 0.01",
     check="Measure the modal damping: the loss tangent is twice the damping ratio.",
     observe=_stiffened,
+    size_factor=_measured_loss,
     sign=1,
 )

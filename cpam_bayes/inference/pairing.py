@@ -91,6 +91,23 @@ def monotone_log_likelihood(
     return np.where(value > 0.1 * _IMPOSSIBLE, value, -np.inf)
 
 
+def pair_probabilities(
+    log_density: Array, in_range: Array, measured_range: float, prior: PairingPrior = DEFAULT_PAIRING
+) -> Array:
+    """Probability that a frequency is a mode, over all order-keeping pairings, (m, n, k).
+
+    The rest to 1 along k is that of a false peak. Arguments as of `monotone_log_likelihood`.
+    """
+    table = _Prices(log_density, in_range, measured_range, prior)
+    mirrored = replace(
+        prior, spurious=prior.spurious if isinstance(prior.spurious, float) else prior.spurious[::-1]
+    )
+    back = _Prices(log_density[:, ::-1, ::-1], in_range[:, ::-1], measured_range, mirrored)
+    every = monotone_log_likelihood(log_density, in_range, measured_range, prior)
+    through = table.sums()[0] + back.sums()[0][:, ::-1, ::-1] - table.pair
+    return np.asarray(np.exp(through - every[:, None, None]))
+
+
 def most_probable_pairing(
     log_density: Array, in_range: Array, measured_range: float, prior: PairingPrior = DEFAULT_PAIRING
 ) -> Pairing:

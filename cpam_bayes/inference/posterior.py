@@ -22,6 +22,7 @@ from cpam_bayes.inference.pairing import (
     PairingPrior,
     labelled_log_likelihood,
     most_probable_labelled_pairing,
+    pair_probabilities,
 )
 from cpam_bayes.parameters import Parameter, ParameterSet, ScaledStudentT
 from cpam_bayes.plate import Measurement
@@ -276,6 +277,18 @@ class Posterior:
         )
         mode = np.where(pairing.mode >= 0, places[pairing.mode], -1)
         return Pairing(mode, np.sort(places[pairing.missed]), pairing.log_probability + log_probability)
+
+    def pairing_probability(self, draws: Array, pairing: Pairing) -> Array:
+        """Probability that each frequency is what it was paired with, over draws (m, n_parameters), (n,)."""
+        predicted = self.predict(draws)
+        of_pair = pair_probabilities(
+            self.log_density(predicted, self.noise(draws, predicted)),
+            self.in_range(predicted),
+            self.span,
+            self.pairing,
+        ).mean(axis=0)
+        taken = of_pair[np.arange(len(pairing.mode)), pairing.mode]
+        return np.asarray(np.where(pairing.mode >= 0, taken, 1.0 - of_pair.sum(axis=1)))
 
     def in_range(self, predicted: Array) -> Array:
         """Modes that a complete list would contain: none lies above the highest frequency listed."""

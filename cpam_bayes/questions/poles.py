@@ -17,8 +17,7 @@ from cpam_bayes.command import Command, option, positive, whole
 from cpam_bayes.errors import checked
 from cpam_bayes.formatting import significant, with_spread
 from cpam_bayes.plate.modal_analysis.fit import DEFAULT_ORDER, Pole, Taken, is_of_mains
-from cpam_bayes.plate.modal_analysis.peaks import LEAST_ORDER, MOST_ORDER, ModalTest, modal_test
-from cpam_bayes.plate.modal_analysis.read import (
+from cpam_bayes.plate.modal_analysis.hits import (
     WINDOWS,
     FrequencyResponses,
     ModalTestError,
@@ -26,6 +25,7 @@ from cpam_bayes.plate.modal_analysis.read import (
     peaks_of,
     relative_power,
 )
+from cpam_bayes.plate.modal_analysis.peaks import LEAST_ORDER, MOST_ORDER, ModalTest, modal_test
 from cpam_bayes.render.report import (
     COMPUTATION,
     Column,
@@ -335,7 +335,7 @@ def _present(result: PolesResult) -> Report:
 
 _CONTAINED: Final = (
     "The standard deviations contain the noise and the scatter of hits. Not contained: how the plate hangs, "
-    "its temperature, where it is hit."
+    "its temperature, where it is hit, and the mass of an accelerometer, which [[sensor]] states."
 )
 _NEXT: Final = (
     f"--out DIR writes {TABLE} and the stability diagram; weight 0 leaves a mode out. In the plate file: "

@@ -614,6 +614,30 @@ def _unlike_hit(facts: Facts) -> str:
     )
 
 
+def _double_hits(facts: Facts) -> str:
+    numbers = listed([str(number) for number in facts["hits"]], "and")
+    hits = f"hit {numbers}" if len(facts["hits"]) == 1 else f"hits {numbers}"
+    return (
+        f"The hammer struck twice in {hits} of {facts['of']}, which makes ripples that look like modes. Of "
+        "free decays what follows the last stroke was used; hit these again."
+    )
+
+
+def _ringing_sensor(facts: Facts) -> str:
+    return (
+        f"{_percent(facts['share'])} of the power of channel {facts['channel']} is a tone at "
+        f"{facts['frequency']:.4g} Hz, beyond the range: a sensor or its mount that rings. Fix it "
+        "better, and keep records far below full scale."
+    )
+
+
+def _left_out_peaks(facts: Facts) -> str:
+    return (
+        f"Peaks that stand out like modes, and none of the model is there: {_hz(facts['peaks'])}. The plate "
+        "may have what its file lacks: an accelerometer, a clamp that gives. State it, or ask `diagnose`."
+    )
+
+
 def _clipped_files(facts: Facts) -> str:
     return f"Clipped and not used: {', '.join(facts['files'])}. Lower the gain and hit again."
 
@@ -749,10 +773,9 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "poor_poles": _poor_poles,
     "drifting_modes": _drifting_modes,
     "unlike_hit": _unlike_hit,
-    "double_hits": (
-        "The hammer struck twice in {files} of {of} records, which makes ripples that look like modes. Of "
-        "free decays what follows the last stroke was used; hit these again."
-    ),
+    "double_hits": _double_hits,
+    "ringing_sensor": _ringing_sensor,
+    "left_out_peaks": _left_out_peaks,
     "clipped_files": _clipped_files,
     "time_up": _time_up,
     # what is missing, as a part of the sentence above

@@ -70,6 +70,7 @@ class _Peak(NamedTuple):
     probability : of being a mode before the model is asked, None for what is no candidate
     damping : ratio
     predicted : Hz, of the mode of the model that it was paired with, None for none
+    certainty : probability of what it was taken for, None where it is not known
     """
 
     frequency: float
@@ -77,6 +78,7 @@ class _Peak(NamedTuple):
     damping: float | None
     predicted: float | None
     taken: str
+    certainty: float | None = None
 
 
 def _percent(value: float) -> str:
@@ -93,6 +95,7 @@ _COLUMNS: Final = (
     Column("damping %", "damping", lambda p: p.damping, _percent, number=True),
     Column("predicted Hz", "predicted_hz", lambda p: p.predicted, _hz, number=True),
     Column("taken for", "taken", lambda p: p.taken),
+    Column("probability %", "probability", lambda p: p.certainty, _percent, number=True),
 )
 
 
@@ -103,17 +106,23 @@ def peak_rows(measurement: Measurement | None, rows: Iterable[FrequencyRow]) -> 
     """
     if measurement is None or measurement.mode_probability is None:
         return Rows("peaks", _COLUMNS, ())
-    paired = {row.measured: row for row in rows if row.predicted is not None}
+    of = {row.measured: row for row in rows}
+    poles = () if measurement.test is None else measurement.test.poles
+    otherwise = {one.frequency: one.taken.value for one in poles if one.taken is Taken.SECOND_HIT}
     peaks = []
     for i, f in enumerate(measurement.frequencies.tolist()):
-        row = paired.get(f)
+        row = of.get(f)
+        certainty = None if row is None else row.probability
+        row = None if row is None or row.predicted is None else row
         damping = None if measurement.damping is None else float(measurement.damping[i])
-        taken = "no mode" if row is None else f"mode {row.number} {row.label or ''}".rstrip()
+        taken = (
+            otherwise.get(f, "no mode") if row is None else f"mode {row.number} {row.label or ''}".rstrip()
+        )
         predicted = None if row is None else row.predicted
-        peaks.append(_Peak(f, float(measurement.mode_probability[i]), damping, predicted, taken))
+        peaks.append(_Peak(f, float(measurement.mode_probability[i]), damping, predicted, taken, certainty))
     peaks += [
         _Peak(one.frequency, None, one.damping, None, one.taken.value)
-        for one in (() if measurement.test is None else measurement.test.poles)
+        for one in poles
         if one.taken is Taken.HUM
     ]
     return Rows("peaks", _COLUMNS, tuple(sorted(peaks, key=lambda peak: peak.frequency)))

@@ -209,6 +209,14 @@ def test_the_expected_size_may_depend_on_the_plate() -> None:
     for support in variants(BY_NAME["support"], replace(facts("C1"), first_frequency=120.0)):
         assert support.scaled(1.0)["support_frequency"] == pytest.approx(12.0)
         assert support.parameters[0].prior.upper == pytest.approx(60.0)
+    for measured, expected in (
+        (None, 0.01),
+        (0.004, 0.004),
+        (0.03, 0.01),
+    ):  # all losses, not the plate's alone
+        (loss,) = variants(BY_NAME["viscoelastic"], replace(facts("C1"), loss_factor=measured))
+        assert loss.scaled(1.0)["loss_tangent"] == pytest.approx(expected)
+        assert loss.parameters[0].prior.upper == pytest.approx(5.0 * expected)
     smooth, sharp = variants(replace(BY_NAME["damage"], size_factor=lambda facts: 0.5), facts("C1"))
     assert smooth.scaled(1.0)["damage"] == 0.1
     assert (smooth.local, sharp.local) == ("bell", "rectangle")

@@ -13,6 +13,7 @@ from cpam_bayes.inference.pairing import (
     monotone_log_likelihood,
     most_probable_labelled_pairing,
     most_probable_pairing,
+    pair_probabilities,
 )
 
 
@@ -53,6 +54,12 @@ def test_sum_and_maximum_over_pairings_equal_those_of_an_enumeration(seed: int) 
     np.testing.assert_array_equal(best.mode, expected[int(values.argmax())][1])
     assert best.log_probability == pytest.approx(values.max() - total, abs=1e-10)
     assert set(best.missed) == set(np.flatnonzero(in_range)) - set(best.mode)
+    of_pair = np.zeros((n, k))
+    for value, mode in expected:
+        rows = np.flatnonzero(mode >= 0)
+        of_pair[rows, mode[rows]] += np.exp(value - total)
+    each = pair_probabilities(log_density[None], in_range[None], 7.0, prior)[0]
+    np.testing.assert_allclose(each, of_pair, atol=1e-12)
 
 
 def test_a_stack_of_parameter_sets_gives_what_each_gives_alone() -> None:

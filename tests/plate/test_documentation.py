@@ -18,10 +18,10 @@ from scipy.io import wavfile
 
 import cpam_bayes as cb
 from cpam_bayes.plate.schema import PlateFile
-from tests.faulty_hits import RATE, Faults, recorded_hits
 from tests.hybrids import HYBRID
 from tests.posteriors import write_posterior
 from tests.universal import grid, mode_55, nodes_15
+from validation.recorded_hits import RATE, Faults, recorded_hits
 
 PAGE = (Path(__file__).parents[2] / "docs" / "plate_file.md").read_text(encoding="utf-8")
 TOP, PRIOR = "The top of the file", "{ mean, sd, bounds }"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,16 @@ import pytest
 from scipy.io import wavfile
 
 import cpam_bayes as cb
+from cpam_bayes.answer import FrequencyRow
+from cpam_bayes.diagnosis.models import plate_under_test
 from cpam_bayes.errors import PlateFileError
+from cpam_bayes.inference.pairing import Pairing
+from cpam_bayes.plate.modal_analysis.fit import Taken
 from cpam_bayes.plate.modal_analysis.peaks import false_peaks, mode_probability
-from tests.faulty_hits import RATE, Faults, recorded_hits
+from cpam_bayes.questions.identify.emcee import left_out_peaks
+from cpam_bayes.render.spectrum import peak_rows
 from tests.plate_file import PLATE
+from validation.recorded_hits import RATE, Faults, recorded_hits
 
 # Peaks that are no modes of the aluminium plate of the tests, whose E is 69 GPa.
 NO_MODES = (193.0, 420.0)
@@ -83,6 +90,7 @@ def test_the_model_picks_the_modes_among_the_peaks_in_one_command(run, plate: Pa
     paired = [peak for peak in document["peaks"] if peak["predicted_hz"] is not None]
     # the noise of 0.3 % and three or four standard deviations of it
     assert all(abs(peak["predicted_hz"] / peak["hz"] - 1.0) < 0.01 for peak in paired)
+    assert all(peak["probability"] > 0.9 for peak in paired)
     assert len(paired) + len(document["missed_modes"]) == 8
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "What each peak was taken for" in page
@@ -105,6 +113,39 @@ def test_a_table_of_peaks_is_weighed_as_recordings_are(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.mode_probability, [5.0 / 6.0, 0.5, 15.0 / 16.0])
     np.testing.assert_allclose(found.frequency_sd, np.hypot([0.1, 0.2, 0.1], 0.01 * found.frequencies))
     assert not found.complete
+
+
+def test_a_peak_that_stands_out_and_is_taken_for_no_mode_is_named(tmp_path: Path) -> None:
+    (tmp_path / "peaks.csv").write_text("hz,sd,height\n114,1,30\n218,2,30\n300,3,0.6\n", encoding="utf-8")
+    path = tmp_path / "plate.toml"
+    path.write_text(f'{PLATE}[measurement]\npeaks = "peaks.csv"\n', encoding="utf-8")
+    measurement = cb.read_plate(path).measurement
+
+    def named(*mode: int) -> list[tuple[float, ...]]:
+        pairing = Pairing(np.array(mode), np.array([], dtype=int), 0.0)
+        return [notice.facts["peaks"] for notice in left_out_peaks(measurement, pairing)]
+
+    assert named(0, -1, -1) == [(218.0,)]
+    assert named(0, 1, -1) == []
+
+
+def test_an_unpaired_peak_of_double_hits_is_said_to_be_of_the_second_hit(plate: Path) -> None:
+    measurement = cb.read_plate(plate).measurement
+    f = float(measurement.frequencies[1])
+    poles = (replace(p, taken=Taken.SECOND_HIT) if p.frequency == f else p for p in measurement.test.poles)
+    changed = replace(measurement, test=replace(measurement.test, poles=tuple(poles)))
+    peaks = peak_rows(changed, [FrequencyRow(float(one), None) for one in measurement.frequencies])
+    taken = {peak["hz"]: peak["taken"] for peak in peaks.records()}
+    assert {hz for hz, said in taken.items() if said == "second hit"} == {f}
+
+
+def test_measured_damping_reaches_the_causes(tmp_path: Path) -> None:
+    rows = "hz,sd,height,damping\n114,1,3,0.002\n166,1,3,0.003\n218,2,3,0.01\n"
+    (tmp_path / "peaks.csv").write_text(rows, encoding="utf-8")
+    path = tmp_path / "plate.toml"
+    path.write_text(f'{PLATE}[measurement]\npeaks = "peaks.csv"\n', encoding="utf-8")
+    converged, _ = plate_under_test(cb.read_plate(path), 3)
+    assert converged.facts.loss_factor == pytest.approx(0.006)
 
 
 def test_a_candidate_that_is_left_out_takes_what_belongs_to_it_along(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 from scipy.stats import f as f_distribution
 
-from cpam_bayes.plate.modal_analysis.read import MAINS, FrequencyResponses
+from cpam_bayes.plate.modal_analysis.hits import MAINS, FrequencyResponses
 from cpam_bayes.plate.modes_of_hits import small_sample_factor
 
 __all__ = [
@@ -46,7 +46,7 @@ _RESIDUAL_DEGREE: Final = 2
 _SIGNIFICANT: Final = 1e-6
 # A fit that moves a pole further than this, in half widths of its peak, has found another.
 _FAR: Final = 2.0
-_STEPS, _ROUNDS = 25, 1
+_STEPS: Final = 25
 # A fit ends where steps are below this part of the half widths.
 _SMALL: Final = 1e-4
 # Columns of a basis are held by the others where no more than this is left of them.
@@ -78,6 +78,7 @@ class Taken(Enum):
     WEAK = "weak"
     RARE = "too few hits"
     HUM = "hum"
+    SECOND_HIT = "second hit"
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,8 +270,7 @@ def fit_poles(responses: FrequencyResponses, candidates: Array) -> tuple[Pole, .
     response's own, and wider by their correlation from line to line where there is one and as
     `small_sample_factor` says. Poles that cancel each other are refused.
     """
-    for _ in range(_ROUNDS):
-        candidates = _refined(responses, candidates)
+    candidates = _refined(responses, candidates)
     poles = []
     for i, s in enumerate(candidates):
         band, free = _band_about(responses, candidates, i)
@@ -311,15 +311,19 @@ def with_others(candidates: Array, others: Array) -> Array:
     return np.array(sorted((*candidates, *new), key=lambda s: s.imag), dtype=complex)
 
 
-def modes_of_hits(each: Sequence[Sequence[Pole]], step: float) -> tuple[Pole, ...]:
+def modes_of_hits(
+    each: Sequence[Sequence[Pole]], step: float, struck_twice: Sequence[bool] = ()
+) -> tuple[Pole, ...]:
     """One table of the poles of every hit, ascending, each with what it was taken for.
 
     Poles of different hits within 2.5 % are one, the nearest first. The standard deviation is that of the
     mean over the hits, from their scatter and as `small_sample_factor` says, and not below that of the fits.
     A mode shows in half the hits, at least in two of several, and its peak is more than 0.6 of what is there
-    beside it. A tone at a multiple of the mains that does not decay is hum.
+    beside it. A tone at a multiple of the mains that does not decay is hum. What is no mode and shows in hits
+    alone that the hammer struck twice, where it struck others once, is of the second hit.
 
     step : between two lines, Hz
+    struck_twice : for each hit; empty where none was
     """
     groups = [{number: pole} for number, poles in enumerate(each) for pole in poles]
     groups.sort(key=lambda group: next(iter(group.values())).frequency)
@@ -330,7 +334,14 @@ def modes_of_hits(each: Sequence[Sequence[Pole]], step: float) -> tuple[Pole, ..
         at = int(np.argmin(gaps))
         groups[at : at + 2] = [groups[at] | groups[at + 1]]
     needed = 1 if len(each) == 1 else max(2, (len(each) + 1) // 2)
-    return tuple(_classed(_mean(group, len(each)), needed, step) for group in groups)
+    once = {k for k in range(len(each)) if not (struck_twice and struck_twice[k])}
+    found = (_classed(_mean(group, len(each)), needed, step) for group in groups)
+    return tuple(
+        replace(pole, taken=Taken.SECOND_HIT)
+        if pole.taken in (Taken.WEAK, Taken.RARE) and once and not once & group.keys()
+        else pole
+        for pole, group in zip(found, groups, strict=True)
+    )
 
 
 def is_of_mains(frequency: float, step: float) -> bool:
@@ -443,7 +454,7 @@ def _of_octave(
     """The fields of a `Stabilisation` of one band."""
     even, plain = (_stable(_poles(responses, low, high, order, evenly)) for evenly in (True, False))
     candidates = with_others(
-        *(_candidates(s[kept], orders[kept], order) for orders, s, kept in (even, plain))
+        *(_candidates(s[kept], orders[kept], int(orders.max(initial=0))) for orders, s, kept in (even, plain))
     )
     orders, s, stable = even
     return orders, np.abs(s) / (2.0 * np.pi), -s.real / np.abs(s), stable, candidates
@@ -498,7 +509,10 @@ def _poles(
 
 
 def _candidates(s: Array, orders: Array, order: int) -> Array:
-    """Median poles of groups that stay over many orders, ascending."""
+    """Median poles of groups that stay over many orders, ascending.
+
+    order : of the largest model, which an octave of few lines has below the one that was asked for
+    """
     order_of = np.argsort(s.imag, kind="stable")
     left = [int(i) for i in order_of]
     poles = []

@@ -26,13 +26,8 @@ from cpam_bayes.plate.modal_analysis.fit import (
     stabilise,
     with_others,
 )
-from cpam_bayes.plate.modal_analysis.read import (
-    FrequencyResponses,
-    ModalTestError,
-    Window,
-    of_folder,
-    read_responses,
-)
+from cpam_bayes.plate.modal_analysis.hits import FrequencyResponses, ModalTestError, Window
+from cpam_bayes.plate.modal_analysis.read import of_folder, read_responses
 from cpam_bayes.plate.modes_table import is_texts, read_sheets
 from cpam_bayes.plate.schema import MAX_FREQUENCIES
 from cpam_bayes.plate.text import Data, Problem, numbers, read_named_file, table
@@ -131,7 +126,8 @@ def modal_test(
     for hit in responses.each_hit:
         own = () if hit is responses else stabilise(hit, low, high, order).candidates
         each.append(fit_poles(hit, with_others(np.array(own, dtype=complex), found.candidates)))
-    poles = tuple(one for one in modes_of_hits(each, responses.step) if low <= one.frequency <= high)
+    every = modes_of_hits(each, responses.step, responses.struck_twice)
+    poles = tuple(one for one in every if low <= one.frequency <= high)
     return ModalTest(responses, found, poles, low, high, order)
 
 

@@ -72,6 +72,8 @@ Array = NDArray[Any]
 _TOUCH = 0.01
 # Fraction of draws next to a bound that an even density over the interval would not put there.
 _AT_BOUND = 0.05
+# A candidate peak of this probability, by its height, that is taken for no mode is told of.
+_STANDING = 0.9
 # Draws that predictions and laminate constants are averaged over.
 _PREDICTIVE_DRAWS = 1000
 # Of these the draws at which the basis is checked by full solves.
@@ -113,6 +115,7 @@ class SampledResult(PlateResult):
     modes : the model's modes at the most probable draw
     shapes : of these modes, (n_modes, 3, n, n), u, v and w on a regular grid
     pairing : of the measured frequencies with them
+    pairing_probability : (n,) of candidate peaks, of each in it; None of a list
     p_value : posterior predictive p-value of the sum of squared standardised residuals
     explained : whether the noise as stated explains the misfit
     laminate : name -> (mean, sd)
@@ -140,6 +143,7 @@ class SampledResult(PlateResult):
     modes: tuple[Mode, ...]
     shapes: Array
     pairing: Pairing
+    pairing_probability: Array | None
     p_value: float
     explained: bool
     laminate: Mapping[str, tuple[float, float]]
@@ -179,12 +183,16 @@ class SampledResult(PlateResult):
     def frequencies(self) -> tuple[FrequencyRow, ...]:
         """One row for each measured frequency, Hz; nothing is predicted for one that belongs to no mode."""
         rows = []
-        for f, j in zip(self.posterior.measurement.frequencies, self.pairing.mode, strict=True):
+        measured, of_pair = self.posterior.measurement.frequencies, self.pairing_probability
+        for i, (f, j) in enumerate(zip(measured, self.pairing.mode, strict=True)):
+            probability = None if of_pair is None else float(of_pair[i])
             if j < 0:
-                rows.append(FrequencyRow(float(f), None))
+                rows.append(FrequencyRow(float(f), None, probability=probability))
                 continue
             mode, mean, sd = self.modes[j], float(self.predicted[j]), float(self.predicted_sd[j])
-            rows.append(FrequencyRow(float(f), mean, mode.kind, mode.label, int(j) + 1, sd))
+            rows.append(
+                FrequencyRow(float(f), mean, mode.kind, mode.label, int(j) + 1, sd, probability=probability)
+            )
         return tuple(rows)
 
     def texts(self) -> Mapping[str, str]:
@@ -383,6 +391,9 @@ def _summarise(
         modes=shown_modes,
         shapes=model.full.shapes(best[:n])[order],
         pairing=pairing,
+        pairing_probability=None
+        if measurement.mode_probability is None
+        else posterior.pairing_probability(few, pairing),
         p_value=p_value,
         explained=explained,
         laminate=_laminate(model, few[:, :n]),
@@ -402,9 +413,19 @@ def _summarise(
             *slips,
             *(() if slips or noise is None else high_noise_notices(noise.mean)),
             *sampled_notices(specimen, posterior, result, constants, shown_modes, p_value, doubt, shapes),
+            *left_out_peaks(measurement, pairing),
             *exchange_notices(specimen),
         ),
     )
+
+
+def left_out_peaks(measurement: Measurement, pairing: Pairing) -> tuple[Notice, ...]:
+    """Candidates that stand out as modes do, and that the model has no mode for: it may lack something."""
+    if measurement.mode_probability is None:
+        return ()
+    left = (pairing.mode < 0) & (measurement.mode_probability > _STANDING)
+    peaks = tuple(measurement.frequencies[left].tolist())
+    return (Notice("left_out_peaks", facts={"peaks": peaks}),) if peaks else ()
 
 
 def _residuals(measurement: Measurement, predicted: Array, pairing: Pairing) -> Array:

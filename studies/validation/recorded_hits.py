@@ -6,57 +6,82 @@ far above the range and scatter of 0.02 to 0.2 % from hit to hit are those of wo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tests.synthetic_poles import eigenvalues
+Array = NDArray[np.float64]
 
 RATE = 8000
 ABOVE = (1650.0, 2300.0, 3100.0)
+# Of modes above the range.
+DAMPING_ABOVE = 8e-3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Faults:
     """What is wrong with a test.
 
     hum : amplitude of 50 Hz and its triple over the largest value of a record
     second_stroke : s after the first, None for one stroke
+    twice : fraction of the hits with a second stroke, the first ones
     drift : standard deviation of each frequency from hit to hit, as a fraction
     noise : standard deviation over the largest value of a record
+    clipped : hits that are clipped, the last ones
     """
 
     hum: float = 0.0
     second_stroke: float | None = None
+    twice: float = 1.0
     drift: float = 0.0003
     noise: float = 0.001
+    clipped: int = 0
+
+
+def eigenvalues(frequencies: Array, damping: Array) -> NDArray[np.complex128]:
+    """s = omega (-zeta + i sqrt(1 - zeta^2)), rad/s."""
+    omega = 2.0 * np.pi * frequencies
+    return np.asarray(-damping * omega + 1j * omega * np.sqrt(1.0 - damping**2))
 
 
 def recorded_hits(
     rng: np.random.Generator,
-    frequencies: np.ndarray,
-    damping: np.ndarray,
+    frequencies: Array,
+    damping: Array,
     n_hits: int,
     faults: Faults = Faults(),
     seconds: float = 1.5,
-) -> list[np.ndarray]:
-    """Accelerations of hits (n_samples,) each, int16, without the force."""
+    above: Sequence[float] = ABOVE,
+) -> list[NDArray[np.int16]]:
+    """Accelerations of hits (n_samples,) each, without the force.
+
+    above : Hz, loud modes beyond the range of interest
+    """
     t = np.arange(int(RATE * seconds)) / RATE
-    heights = np.append(10.0 ** rng.uniform(-1.5, 0.0, len(frequencies)), np.ones(len(ABOVE)))
-    frequencies, damping = np.append(frequencies, ABOVE), np.append(damping, np.full(len(ABOVE), 8e-3))
+    heights = np.append(10.0 ** rng.uniform(-1.5, 0.0, len(frequencies)), np.ones(len(above)))
+    frequencies, damping = (
+        np.append(frequencies, above),
+        np.append(damping, np.full(len(above), DAMPING_ABOVE)),
+    )
     records = []
-    for _ in range(n_hits):
+    for k in range(n_hits):
         s = eigenvalues(frequencies * (1.0 + faults.drift * rng.standard_normal(len(frequencies))), damping)
         decay = heights @ np.exp(s[:, None] * t).imag
         force = np.zeros_like(t)
         force[80:84] = (0.5, 1.0, 1.0, 0.5)
-        if faults.second_stroke is not None:
+        if faults.second_stroke is not None and k < faults.twice * n_hits:
             at = 80 + int(faults.second_stroke * RATE)
             force[at : at + 4] = (0.4, 0.8, 0.8, 0.4)
         signal = np.convolve(force, decay)[: len(t)]
         signal /= np.abs(signal).max()
-        for k in (1, 3):
-            signal += faults.hum * np.sin(2.0 * np.pi * 50.0 * k * t + rng.uniform(0.0, 6.0))
+        for multiple in (1, 3):
+            signal += faults.hum * np.sin(2.0 * np.pi * 50.0 * multiple * t + rng.uniform(0.0, 6.0))
         signal += faults.noise * rng.standard_normal(len(t))
-        records.append((20000.0 * signal / np.abs(signal).max()).astype(np.int16))
+        record: Any = (20000.0 * signal / np.abs(signal).max()).astype(np.int16)
+        if k >= n_hits - faults.clipped:
+            record = np.clip(3 * record.astype(int), -32768, 32767).astype(np.int16)
+        records.append(record)
     return records

@@ -1,0 +1,391 @@
+"""Recorded hits to frequency responses.
+
+Each hit is cut out of its record, without force after the last stroke of a double one. What cannot be the
+record of a hit, such as a clipped channel, is refused; what makes responses doubtful is a remark.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.answer import Notice, each_once
+
+__all__ = [
+    "MAINS",
+    "WINDOWS",
+    "ClippedError",
+    "FrequencyResponses",
+    "ModalTestError",
+    "Recording",
+    "Window",
+    "peaks_of",
+    "relative_power",
+    "require_unclipped",
+    "responses_of_hits",
+    "told_channels",
+]
+
+Array = NDArray[Any]
+
+
+class ModalTestError(ValueError):
+    """A test that cannot be read or analysed."""
+
+
+class ClippedError(ModalTestError):
+    """A record that holds its largest value."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrequencyResponses:
+    """Frequency responses at equal steps of frequency.
+
+    frequencies : (n,) Hz
+    frf : (n_responses, n) complex, response over force, or the spectrum of a free decay
+    added_decay : rad/s that a window adds to the decay of every mode
+    origin : the format and what was read, in words
+    notices : what makes them doubtful
+    hit : (n_responses,) the number of the hit of each, from 0; empty where all are of one
+    struck_twice : (n_hits,) of recorded hits, whether the hammer touched the plate twice
+    """
+
+    frequencies: Array
+    frf: Array
+    added_decay: float
+    origin: str
+    notices: tuple[Notice, ...] = ()
+    hit: tuple[int, ...] = ()
+    struck_twice: tuple[bool, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("frequencies", "frf"):
+            array = np.array(getattr(self, name))
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @property
+    def step(self) -> float:
+        """Between two lines, Hz."""
+        return float(self.frequencies[1] - self.frequencies[0])
+
+    @property
+    def each_hit(self) -> tuple[FrequencyResponses, ...]:
+        """Those of each hit."""
+        numbers = np.array(self.hit)
+        if len(set(self.hit)) < 2:
+            return (self,)
+        return tuple(replace(self, frf=self.frf[numbers == k], hit=()) for k in sorted(set(self.hit)))
+
+
+# A clipped channel holds its largest value for so many samples: once at full scale, else at several places.
+_HELD, _PLACES = 3, 3
+# A force that passes this fraction of its peak later than so many s, for so many s in all, is no hit's.
+_RINGS, _AFTER, _FOR = 0.2, 0.02, 0.01
+_BLOCK: Final = 0.002
+# A force has its power in so many times fewer samples than the responses.
+_SHORTER: Final = 5.0
+# A second stroke is this many times the loudest of so many blocks before it, and this part of the first.
+_JUMP, _BLOCKS_APART, _OF_STROKE = 3.0, 5, 0.1
+# The end of a record, as a fraction, and the least part of its power, and of the
+# largest value, that a steady tone has there.
+MAINS: Final = (50.0, 60.0)
+"""Frequencies of the mains, Hz."""
+_TAIL, _OF_POWER, _OF_PEAK = 0.25, 0.5, 0.03
+_LEAST_TAIL: Final = 0.2
+_MULTIPLES: Final = np.arange(1.0, 6.0)
+# Lines of modes stand above the noise, the median, and above this part of the largest one, in power.
+_ABOVE_NOISE, _ABOVE_LEAST = 100.0, 1e-5
+# A peak is the largest line within this fraction of its frequency and so many lines, above the median of a
+# neighbourhood four times as wide, and above this part of the largest one.
+_ALONE, _ALONE_LINES, _ABOVE_MEDIAN, _OF_LARGEST = 0.02, 5, 5.0, 0.03
+
+
+def require_unclipped(name: str, channel: int, samples: Array) -> None:
+    """Raise ``ModalTestError`` for a channel (n,), as it was stored, with flat tops."""
+    integer = np.issubdtype(samples.dtype, np.integer)
+    full = float(np.iinfo(samples.dtype).max) if integer else 1.0
+    if samples.dtype == np.uint8:  # 8 bits have no sign
+        samples, full = samples.astype(float) - 128.0, 127.0
+    held = 0
+    for extreme in (samples.max(), samples.min()):
+        lengths = _runs(samples == extreme)
+        flat = lengths[lengths >= _HELD]
+        at_full_scale = abs(float(extreme)) >= (1.0 - 1e-4) * full and (integer or abs(extreme) == full)
+        if len(flat) >= (1 if at_full_scale else _PLACES) and extreme:
+            held += int(flat.sum())
+    if held:
+        raise ClippedError(
+            f"{name}: channel {channel} is clipped: {held} samples hold its largest or smallest value, which "
+            "makes modes that are none, accepted: records that stay below full scale; lower the gain and hit "
+            "again"
+        )
+
+
+def _runs(wanted: Array) -> Array:
+    """Lengths of the runs of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], wanted, [False])).astype(np.int8)))
+    return np.asarray(edges[1::2] - edges[::2])
+
+
+def require_force_of_a_hit(hits: Sequence[Array], rate: float, before: float) -> None:
+    """Raise ``ModalTestError`` where the force of most hits, (channels, n) with the force first, rings.
+
+    before : s of a hit that lie before its onset
+    """
+    if 2 * sum(_rings(np.abs(hit[0]), rate, before) for hit in hits) <= len(hits):
+        return
+    raise ModalTestError(
+        "--force: received a channel that rings long after the hit, accepted: the channel of the hammer, a "
+        "pulse of some ms; is it the channel of a response? then exchange --force and --response"
+    )
+
+
+def _rings(force: Array, rate: float, before: float) -> bool:
+    late = force[int((before + _AFTER) * rate) :]
+    size = max(int(_BLOCK * rate), 1)
+    blocks = late[: len(late) // size * size].reshape(-1, size).max(axis=1, initial=0.0)
+    return bool(np.sum(blocks > _RINGS * force.max()) * _BLOCK > _FOR)
+
+
+def hum_notices(rate: float, channels: Array) -> tuple[Notice, ...]:
+    """A steady tone of the mains or a multiple at the end of a record (channels, n), where modes are gone."""
+    tail = channels[:, int((1.0 - _TAIL) * channels.shape[1]) :]
+    n = tail.shape[1]
+    if n < _LEAST_TAIL * rate:
+        return ()
+    tail = tail - tail.mean(axis=1, keepdims=True)
+    power = np.abs(np.fft.rfft(tail * np.hanning(n), axis=1)) ** 2
+    frequencies = np.fft.rfftfreq(n, 1.0 / rate)
+    peak = np.abs(channels - np.median(channels, axis=1, keepdims=True)).max(axis=1)
+    loud = np.sqrt(np.mean(tail**2, axis=1)) > _OF_PEAK * peak
+    for mains in MAINS:
+        near = np.min(np.abs(frequencies[:, None] - mains * _MULTIPLES), axis=1) < 2.5 * rate / n + 0.5
+        part = power[:, near].sum(axis=1) / np.maximum(power.sum(axis=1), np.finfo(float).tiny)
+        hums = loud & (part > _OF_POWER)
+        if hums.any():
+            size = float(np.max(np.sqrt(2.0 * part[hums] * np.mean(tail[hums] ** 2, axis=1)) / peak[hums]))
+            return (Notice("hum", facts={"mains": mains, "size": size}),)
+    return ()
+
+
+def relative_power(frf: Array) -> Array:
+    """Mean power of the lines over the responses (m, n), each over the mean of its own, (n,)."""
+    power = np.abs(frf) ** 2
+    mean = np.maximum(np.mean(power, axis=1, keepdims=True), np.finfo(float).tiny)
+    return np.asarray(np.mean(power / mean, axis=0))
+
+
+def last_line_of_modes(power: Array) -> int:
+    """The last line that stands above the noise; all, where none does; power : (n,)."""
+    above = power > max(_ABOVE_NOISE * float(np.median(power)), _ABOVE_LEAST * float(power.max()))
+    return int(np.flatnonzero(above)[-1]) if above.any() else len(power) - 1
+
+
+def peaks_of(frequencies: Array, size: Array) -> Array:
+    """The frequencies of the peaks of a spectrum, (n_peaks,) Hz; frequencies, size : (n,)."""
+    step = float(frequencies[1] - frequencies[0])
+    highest = (size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:]) & (size[1:-1] > _OF_LARGEST * size.max())
+    peaks = []
+    for i in np.flatnonzero(highest) + 1:
+        near = max(int(_ALONE * frequencies[i] / step), _ALONE_LINES)
+        window, wider = (size[max(i - k, 0) : i + k + 1] for k in (near, 4 * near))
+        if size[i] == window.max() and size[i] > _ABOVE_MEDIAN * np.median(wider):
+            peaks.append(float(frequencies[i]))
+    return np.array(peaks)
+
+
+Window = Literal["none", "exponential"]
+
+WINDOWS: Final[tuple[Window, ...]] = ("none", "exponential")
+"""Windows of a record: none, or a decay to 1 % at its end, which is taken off again."""
+_END: Final = 0.01
+# A hit begins where the signal passes this fraction of its largest value, for the first time in so many s.
+_ONSET, _APART, _BEFORE = 0.3, 0.25, 0.002
+# The range of a test ends where the spectrum of the force has fallen to this fraction of its largest value.
+_FORCE_LEFT: Final = 0.1
+# Spectra of decays end this much above their last line that stands above noise.
+_OUTSIDE: Final = 1.25
+_LEAST_LINES: Final = 50
+# A range that is found from the responses has these lines at least: twice the poles of the default order.
+_LEAST_FOUND: Final = 150
+_MOST_HITS: Final = 1000
+# A force lasts while it is above this part of its largest value.
+_OF_PULSE: Final = 0.1
+# A tone beyond the range that has this share of a response's power is no plate's: these have many modes.
+_RINGING: Final = 0.8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """Signals of one file.
+
+    rate : samples a second
+    force : (n,) or None where it was not recorded
+    responses : (n_responses, n)
+    numbers : of the channels of the file, from 1, that of the force first
+    """
+
+    rate: float
+    force: Array | None
+    responses: Array
+    numbers: tuple[int, ...]
+
+
+class _Hit(NamedTuple):
+    """A hit: channels (1 + n_responses, n), or (n_responses, n) without force; whether double."""
+
+    channels: Array
+    is_double: bool
+
+
+def responses_of_hits(
+    recordings: Sequence[Recording], window: Window, high: float | None
+) -> FrequencyResponses:
+    """Responses over force of every hit, H = conj(F) X / |F|^2; without it, spectra of decays.
+
+    Each hit begins where its force, or its largest response, rises. All hits have the length of the shortest.
+    Spectra end at ``high``, Hz, or where the force has fallen to a tenth, or a quarter above the last line of
+    a decay that stands above its noise.
+
+    Raises ``ModalTestError`` where there is no hit, hits are too short, or the force is no hit's.
+    """
+    every = [hit for one in recordings for hit in _hits(one)]
+    hits, twice = [hit.channels for hit in every], tuple(hit.is_double for hit in every)
+    if not hits:
+        raise ModalTestError("no hit, accepted: a record in which force or response rises above its noise")
+    rate, n = recordings[0].rate, min(len(hit[0]) for hit in hits)
+    decay = -np.log(_END) * rate / n if window == "exponential" else 0.0
+    weight = np.exp(-decay * np.arange(n) / rate)
+    spectra = np.stack([np.fft.rfft(hit[:, :n] * weight, axis=1) for hit in hits])  # hits, channels, lines
+    frequencies = np.fft.rfftfreq(n, 1.0 / rate)
+    has_force, notices = recordings[0].force is not None, _hums(recordings)
+    if any(twice):
+        numbers = tuple(number for number, is_double in enumerate(twice, 1) if is_double)
+        notices += (Notice("double_hits", facts={"hits": numbers, "of": len(hits)}),)
+    if has_force:
+        require_force_of_a_hit(hits, rate, _BEFORE)
+        force, response = spectra[:, :1], spectra[:, 1:]
+        power = np.sum(np.abs(force) ** 2, axis=0)
+        each = np.maximum(np.abs(force) ** 2, np.finfo(float).tiny)
+        frf = (force.conj() * response / each).reshape(-1, len(frequencies))
+        fallen = np.flatnonzero(power[0] < _FORCE_LEFT**2 * power[0].max())
+        end = int(fallen[0]) if high is None and len(fallen) else len(frequencies)
+    else:
+        frf = spectra.reshape(-1, len(frequencies))
+        last = last_line_of_modes(relative_power(frf))
+        if high is not None and frequencies[last] > high:
+            notices += (Notice("modes_beyond_range", facts={"frequency": float(frequencies[last])}),)
+        end = min(max(int(_OUTSIDE * last) + 1, _LEAST_FOUND), len(frequencies))
+    if high is not None:
+        end = int(np.searchsorted(frequencies, high, side="right"))
+    if end < _LEAST_LINES:
+        raise ModalTestError(
+            f"{end} lines of {rate / n:.3g} Hz, accepted: {_LEAST_LINES} or more: longer records, or a "
+            "higher end of the range"
+        )
+    notices += _ringing(recordings[0], hits, float(frequencies[end - 1]))
+    many = "1 hit" if len(hits) == 1 else f"{len(hits)} hits"
+    return FrequencyResponses(
+        frequencies[:end],
+        frf[:, :end],
+        decay,
+        f"{many} of {n / rate:.3g} s, {_channels(recordings[0], hits[0])}; window: {window}",
+        notices,
+        tuple(np.repeat(np.arange(len(hits)), recordings[0].responses.shape[0]).tolist()),
+        twice,
+    )
+
+
+def _channels(recording: Recording, hit: Array) -> str:
+    """What each channel of a file is, in words."""
+    n = len(recording.responses)
+    said = "1 response" if n == 1 else f"{n} responses"
+    if recording.force is None:
+        numbers = ", ".join(map(str, recording.numbers))
+        return f"{said} alone: free decays (channel{'' if n == 1 else 's'} {numbers})"
+    size = np.abs(hit[0])
+    pulse = 1e3 * float(np.sum(size > _OF_PULSE * size.max())) / recording.rate
+    return f"{said} over force (channel {recording.numbers[0]}, a pulse of {pulse:.2g} ms)"
+
+
+def _ringing(recording: Recording, hits: Sequence[Array], end: float) -> tuple[Notice, ...]:
+    """A response of which one narrow tone beyond the range has nearly all power: a sensor that rings.
+
+    hits : of all recordings; end : of the range, Hz
+    """
+    n_forces = len(recording.numbers) - len(recording.responses)
+    for row, number in enumerate(recording.numbers[n_forces:], n_forces):
+        power = np.mean([_power(hit[row], len(hits[0][row])) for hit in hits], axis=0)
+        f = np.fft.rfftfreq(len(hits[0][row]), 1.0 / recording.rate)
+        at = f[int(np.argmax(power))]
+        share = float(power[np.abs(f - at) < _ALONE * at].sum() / max(power.sum(), np.finfo(float).tiny))
+        if at > end and share > _RINGING:
+            return (
+                Notice("ringing_sensor", facts={"channel": number, "frequency": float(at), "share": share}),
+            )
+    return ()
+
+
+def _power(signal: Array, n: int) -> Array:
+    return np.asarray(np.abs(np.fft.rfft(signal, n)) ** 2)
+
+
+def _hums(recordings: Sequence[Recording]) -> tuple[Notice, ...]:
+    return each_once(notice for one in recordings for notice in hum_notices(one.rate, one.responses))
+
+
+def _hits(recording: Recording) -> list[_Hit]:
+    """The channels from each hit to the next; without force a double one from its second stroke on."""
+    force, responses = recording.force, recording.responses
+    trigger = np.abs(responses).max(axis=0) if force is None else np.abs(force - np.median(force))
+    channels = responses if force is None else np.vstack((force, responses))
+    if not trigger.max() > 0.0:
+        return []
+    above = np.flatnonzero(trigger > _ONSET * trigger.max())
+    first = above[np.append(True, np.diff(above) > _APART * recording.rate)]
+    if len(first) > _MOST_HITS:
+        raise ModalTestError(
+            f"{len(first)} hits, accepted: {_MOST_HITS} at most: records that rest between hits"
+        )
+    starts = np.maximum(first - int(_BEFORE * recording.rate), 0)
+    ends = np.append(starts[1:], channels.shape[1])
+    hits = [
+        channels[:, start:end] - np.median(channels[:, start:end], axis=1, keepdims=True)
+        for start, end in zip(starts, ends, strict=True)
+    ]
+    second = [_second_stroke(hit if force is None else hit[:1], recording.rate) for hit in hits]
+    # what rings after the last of several strokes is a free decay
+    return [_Hit(hit[:, at:] if force is None else hit, at > 0) for hit, at in zip(hits, second, strict=True)]
+
+
+def _second_stroke(hit: Array, rate: float) -> int:
+    """The sample of a second stroke within a hit (channels, n), 0 where there is none.
+
+    High frequencies, by differences, decay from a stroke on: a block of 2 ms far above the 10 ms before it.
+    """
+    size = max(int(_BLOCK * rate), 2)
+    steps = np.abs(np.diff(hit, n=2, axis=1)).max(axis=0)
+    blocks = steps[: len(steps) // size * size].reshape(-1, size)
+    rms = np.sqrt(np.mean(blocks**2, axis=1))
+    first = int(np.argmax(rms > _OF_STROKE * rms.max(initial=0.0))) if len(rms) else 0
+    for k in range(len(rms) - 1, first + _BLOCKS_APART, -1):
+        before = rms[k - _BLOCKS_APART : k].max()
+        if rms[k] > _OF_STROKE * rms.max() and rms[k] > _JUMP * before:
+            return k * size
+    return 0
+
+
+def told_channels(channels: Array, force: int | None) -> tuple[int | None, tuple[int, ...]]:
+    """The channels of the force and of the responses: one channel that lasts a pulse is the force."""
+    if force is None and len(channels) > 1:
+        power = (channels - np.median(channels, axis=1, keepdims=True).astype(float)) ** 2
+        samples = np.sum(power, axis=1) ** 2 / np.maximum(np.sum(power**2, axis=1), np.finfo(float).tiny)
+        shortest, second = np.argsort(samples)[:2]
+        if 0.0 < _SHORTER * samples[shortest] < samples[second]:  # 0 of a channel without a signal
+            force = int(shortest) + 1
+    return force, tuple(k for k in range(1, len(channels) + 1) if k != force)
