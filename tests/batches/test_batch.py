@@ -238,7 +238,7 @@ def test_a_plate_that_fails_says_why_and_the_others_are_done(
     for row in (rows[i] for i in (0, 2, 5)):
         p = row["limits"]["nu12 <= 0.3"]
         assert row["verdict"] == ("fail" if p <= 0.05 else "too close to call")
-    table = list(csv.DictReader((out / "results.csv").read_text(encoding="utf-8").splitlines()))
+    table = list(csv.DictReader((out / "results.csv").read_text(encoding="utf-8-sig").splitlines()))
     assert [row["status"] for row in table] == [row["status"] for row in rows]
     assert float(table[0]["E1_GPa"]) == pytest.approx(rows[0]["constants"]["E1_GPa"]["value"], rel=1e-6)
     assert (table[1]["E1_GPa"], table[0]["P(E1_GPa >= 60)"] > "0.99") == ("", True)
