@@ -153,6 +153,7 @@ def _constants_of_symmetry(data: Data) -> Problems:
                 yield Problem(
                     ("material", key),
                     f"missing, a ply that is {symmetry.replace('_', ' ')} has E1 E2 nu12 G12",
+                    is_gap=True,
                 )
 
 
