@@ -147,13 +147,19 @@ def why_not_judged(result: BatchResult, row: PlateRow) -> str:
     if row.status == "failed":
         return "no answer"
     cause = _cause(row)
-    if row.slip is not None and not (cause and weighs_slip(row.slip)):
+    if row.slip is not None and not (cause and _is_of_plate(row)):
         return slip_question(*row.slip)
     if row.misfit > 1.0:
         return cause or f"misfit {significant(row.misfit, 2)} times the noise"
     names = [limit.name for limit in result.limits]
     left = [n for n in dict.fromkeys(names) if (c := row.constant(n)) is None or c.is_open]
     return f"{listed(left, 'and')} not determined"
+
+
+def _is_of_plate(row: PlateRow) -> bool:
+    """Whether a diagnosis names a cause that is no error of the list, of which a slip says more."""
+    of_list = {effect.name for effect in CATALOGUE if effect.pairings}
+    return row.diagnosis is not None and not of_list.issuperset(row.diagnosis.causes)
 
 
 def _cause(row: PlateRow) -> str:
