@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import importlib.util
 import json
@@ -167,6 +168,7 @@ def test_the_command_writes_json_csv_page_and_figures(run: Run, tmp_path: Path) 
     assert (status, said) == (0, "")
     document = json.loads(shown)
     assert json.loads((tmp_path / "paper.json").read_text("utf-8"))["rows"] == document["rows"]
+    assert (tmp_path / "comparison.csv").read_bytes().startswith(codecs.BOM_UTF8)
     with (tmp_path / "comparison.csv").open(encoding="utf-8-sig") as file:
         lines = list(csv.DictReader(file))
     assert [line["quantity"] for line in lines] == [row["quantity"] for row in document["rows"]]
