@@ -48,6 +48,9 @@ class Watch(Protocol):
     def announce(self, text: str) -> None:
         """Show one line about what begins."""
 
+    def promise(self, text: str) -> None:
+        """Show one line that must stand before the answer, whatever else is left out."""
+
     def stage(
         self, title: str, total: int, described: Described | None = None, counted: str = ""
     ) -> AbstractContextManager[Progress]:
@@ -65,6 +68,8 @@ class _Silent:
 
     def announce(self, text: str) -> None:
         del text
+
+    promise = announce
 
     @contextmanager
     def stage(

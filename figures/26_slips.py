@@ -31,9 +31,9 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             "26_slips",
             _shares(rows),
             "What is named of plate files with a slip.",
-            f"{len(slips)} files with one of ten slips: it is named in {right}, {unseen} fit within the "
-            f"noise as they are. {others} files without a slip or with a "
-            f"real cause: a slip is named in {wrong}.",
+            f"{len(slips)} files with one of {len({c['kind'] for c in slips})} slips: it is "
+            f"named in {right}, {unseen} fit within the noise as they are. "
+            f"{others} files without a slip or with a real cause: a slip is named in {wrong}.",
         )
     ]
 

@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import cpam_bayes as cb
+from cpam_bayes.diagnosis.slips import GROSS
 from cpam_bayes.errors import PlateFileError
-from cpam_bayes.identification.slips import GROSS
 from cpam_bayes.render.report import Heading, Table
 from cpam_bayes.render.terminal import screen_text
 from validation.independent.true_plate import Mass, Patch, TruePlate, natural_frequencies
@@ -347,15 +347,17 @@ def run(quick: bool, minutes: float = float("inf")) -> Results:
 def sections(results: Results) -> dict[str, str]:
     """How often a slip is named, as a paragraph of a page."""
     counts = {row["kind"]: row for row in results["counts"]}
-    right, other, none, unseen, refused = (sum(counts[k][what] for k in SLIPS) for what in OUTCOMES)
+    slips = [kind for kind in SLIPS if kind in counts]
+    right, other, none, unseen, refused = (sum(counts[k][what] for k in slips) for what in OUTCOMES)
     free = [kind for kind in counts if kind not in SLIPS]
     files, wrong = (
         sum(counts[k][what] for k in free for what in outcomes) for outcomes in (OUTCOMES, (OTHER,))
     )
     said = (
-        f"Of {right + other + none + unseen + refused} drawn files with one slip {right} had it named and "
-        f"{other} another one; {unseen} fitted to within the noise. Of {files} files without a slip, half of "
-        f"them with a real cause such as a taper, {wrong} had one named."
+        f"Of {right + other + none + unseen + refused} drawn files with one of {len(slips)} slips "
+        f"{right} had it named and {other} another one; {unseen} fitted to within the noise. "
+        f"Of {files} files without a slip, half of them with a real cause such as a taper, "
+        f"{wrong} had one named."
     )
     return {"named": paragraph(said)}
 

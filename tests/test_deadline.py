@@ -145,6 +145,8 @@ class Counting:
     def announce(self, text: str) -> None:
         del text
 
+    promise = announce
+
     def stage(self, title: str, total: int, described: Described | None = None, counted: str = "") -> Any:
         return nullcontext(Progress(lambda k, value: self.told.append(k), lambda text: None))
 

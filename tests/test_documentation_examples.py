@@ -21,6 +21,7 @@ MARKS = dict.fromkeys(
         "cluster.md",
         "effects.md",
         "index.md",
+        "laboratory.md",
         "library.md",
         "many_plates.md",
         "mode_shapes.md",

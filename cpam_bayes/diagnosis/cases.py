@@ -40,13 +40,17 @@ from cpam_bayes.running import TimeIsUpError
 _SPARE, _MORE_SPARE = 2, 6
 
 
-def plate_case(specimen: Specimen, notify: Callable[[str], None] = lambda text: None) -> PlateCase:
+def plate_case(
+    specimen: Specimen, notify: Callable[[str], None] = lambda text: None, *, is_rough: bool = False
+) -> PlateCase:
     """A plate with its list, every frequency given to a mode.
 
     A list is paired in order, and labels and measured shapes fix their modes, shapes that are like several
     modes the most probable ones. The pairings of an incomplete list, summed over
     in its diagnosis, begin from there. Raises ``ValueError`` for a specimen without a list or without unknown
     constants.
+
+    is_rough : whether its model is a rough one
     """
     measurement = specimen.measurement
     if measurement is None or not measurement.size:
@@ -58,7 +62,8 @@ def plate_case(specimen: Specimen, notify: Callable[[str], None] = lambda text: 
             f"{specimen.source}: [unknowns] is missing; name the constants that may differ from [material]"
         )
     spare = _SPARE if measurement.complete and not measurement.names_modes else _MORE_SPARE
-    models = plate_models(specimen, measurement.size + max(spare, spare_modes(measurement)), notify)
+    n_modes = measurement.size + max(spare, spare_modes(measurement))
+    models = plate_models(specimen, n_modes, notify, is_rough=is_rough)
     model = labelled_model(models.bare, measurement, specimen)
     order = list_order(model, reference_vector(specimen, models.parameters))
     return PlateCase(models, measurement, order[: measurement.size], by_shape=by_shape(model))

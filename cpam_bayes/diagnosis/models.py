@@ -31,7 +31,7 @@ from cpam_bayes.forward_model.model import (
 )
 from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings, reduce
 from cpam_bayes.mechanics.affine import AffineOperator
-from cpam_bayes.mechanics.convergence import converge
+from cpam_bayes.mechanics.convergence import Tolerance, converge
 from cpam_bayes.mechanics.problem import Problem, any_of
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet, Uniform
@@ -52,6 +52,8 @@ _CONTENT: tuple[tuple[Field, tuple[int, int]], ...] = (
 )
 # Forms of an effect that a space is converged for: it holds what the others need.
 _FARTHEST_FORMS = 6
+# Relative errors that a rough model may have, of its space and of its reduction.
+_ROUGH, _ROUGH_BASIS = Tolerance(kept=1e-3, rich=1e-3, largest_degree=14), 3e-4
 # A normal prior from the plate file is cut here, standard deviations from its mean.
 _CUT = 4.0
 
@@ -120,22 +122,27 @@ def plate_models(
     notify: Callable[[str], None] = lambda text: None,
     *,
     other_material: bool = False,
+    is_rough: bool = False,
 ) -> PlateModels:
     """Converge a plate over its priors and reduce it to what its list asks for.
 
     other_material : over the search bounds of its constants, without the matrices of the full space
+    is_rough : converged at the reference constants alone, and to a thousandth
     """
     assert specimen.measurement is not None
     parameters, problem, samples = _bare(specimen, other_material)
-    settings = ReductionSettings(basis_tolerance(specimen.measurement))
+    settings = ReductionSettings(max(basis_tolerance(specimen.measurement), is_rough * _ROUGH_BASIS))
+    if is_rough:
+        samples = Samples(samples.x[:1], samples.allowance[:1])
 
     def make() -> ReducedModel:
         notify("converging the plate")
-        reduced = _reduced(converged_plate(problem, samples, n_modes), settings.tolerance)
+        full = converged_plate(problem, samples, n_modes, _ROUGH if is_rough else None)
+        reduced = _reduced(full, settings.tolerance)
         return without_matrices(reduced) if other_material else reduced
 
     key = model_key(specimen, parameters, n_modes, ENERGY_CONSISTENT, settings, None)
-    bare = remembered(json.dumps([key, "bare", other_material]), make)
+    bare = remembered(json.dumps([key, "bare", other_material, is_rough]), make)
     assert bare.full.basis is not None
     return PlateModels(
         specimen,
@@ -276,10 +283,12 @@ def local_model(plate: PlateModels, effect: Effect) -> LocalModel:
     return patch_model(bare, effect.parameter_set, effect.local)
 
 
-def converged_plate(problem: Problem, samples: Samples, n_modes: int) -> PlateModel:
+def converged_plate(
+    problem: Problem, samples: Samples, n_modes: int, tolerance: Tolerance | None = None
+) -> PlateModel:
     """The full model of a problem on a space that is converged at samples, as of ``converge``."""
     x = problem.parameters.mapping(samples.x)
-    converged = converge(problem, x, n_modes, allowance=samples.allowance)
+    converged = converge(problem, x, n_modes, tolerance, samples.allowance)
     return PlateModel(converged.operator, n_modes, converged.error, (converged.settings, converged.keep))
 
 

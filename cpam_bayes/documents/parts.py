@@ -13,7 +13,7 @@ from pydantic import Field
 from typing_extensions import TypedDict
 
 from cpam_bayes.answer import Verdict
-from cpam_bayes.identification.slips import SlipKind
+from cpam_bayes.diagnosis.slips import SlipKind
 from cpam_bayes.mechanics.modes import Kind
 
 __all__ = [
@@ -195,6 +195,7 @@ class Slip(TypedDict):
     number: Annotated[int, Field(description="of the mode or frequency, from 1; 0 for the plate")]
     frequency_hz: Hertz
     rms_percent: Annotated[Number, Field(description="misfit without the slip, %")]
+    probability: Probability
 
 
 class Peak(TypedDict):

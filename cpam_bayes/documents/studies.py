@@ -9,6 +9,7 @@ from typing_extensions import TypedDict
 
 from cpam_bayes.answer import Verdict
 from cpam_bayes.diagnosis.hypotheses import Kind
+from cpam_bayes.diagnosis.slips import SlipKind
 from cpam_bayes.documents.constants import Convergence
 from cpam_bayes.documents.parts import (
     Answer,
@@ -30,7 +31,6 @@ from cpam_bayes.documents.parts import (
     Value,
     ValueSpread,
 )
-from cpam_bayes.identification.slips import SlipKind
 from cpam_bayes.inference.swarm import Status
 from cpam_bayes.printed.noise_study import ListSource
 from cpam_bayes.printed.repetition import Cause, Interpretation

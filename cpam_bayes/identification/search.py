@@ -21,8 +21,6 @@ from cpam_bayes.forward_model.build import Neighbour, basis_tolerance, reduced_m
 from cpam_bayes.forward_model.known_errors import tolerant
 from cpam_bayes.forward_model.labels import LabelledModel, labelled_model, list_order, spare_modes
 from cpam_bayes.forward_model.model import (
-    PlateModel,
-    Prediction,
     discretisation_error,
     reference_vector,
     size_parameters,
@@ -181,7 +179,7 @@ class _Task:
     """The objective of a swarm."""
 
     specimen: Specimen
-    model: Model | PairedModel
+    model: Model
     measurement: Measurement
     unknowns: ParameterSet
     settings: SwarmSettings
@@ -323,37 +321,6 @@ def swarm_seed(seed: int, k: int) -> int | list[int]:
 def shifted(progress: Progress, done: int) -> Progress:
     """The progress of a swarm that begins after so many iterations of others."""
     return None if progress is None else lambda iteration, best: progress(done + iteration, best)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PairedModel:
-    """A reduced model without the modes that a list lacks.
-
-    modes : (n,) rank of the mode of each frequency
-    """
-
-    reduced: ReducedModel
-    modes: Array
-
-    @property
-    def full(self) -> PlateModel:
-        """The model on its full space, with all modes."""
-        return self.reduced.full
-
-    def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:
-        """Frequencies of those modes at parameter vectors (m, n), and derivatives."""
-        found = self.reduced.predict(x, jacobian=jacobian)
-        slopes = None if found.jacobian is None else found.jacobian[:, self.modes]
-        return Prediction(found.frequencies[:, self.modes], slopes)
-
-
-def refitted(specimen: Specimen, model: PairedModel, start: Array) -> Array:
-    """Constants of the least relative misfit that derivatives reach from constants (m, n), (n,)."""
-    measurement, unknowns = required(specimen)
-    task = _Task(specimen, model, measurement, unknowns, SwarmSettings(), "relative", None)
-    value = task.objective(start)
-    ends = _polished(task, start[np.argsort(value, kind="stable")], float(value.min()))
-    return task.to_x(ends.u[int(np.argmin(ends.value))])
 
 
 @dataclass(frozen=True, slots=True)

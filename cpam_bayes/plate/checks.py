@@ -153,6 +153,7 @@ def _constants_of_symmetry(data: Data) -> Problems:
                 yield Problem(
                     ("material", key),
                     f"missing, a ply that is {symmetry.replace('_', ' ')} has E1 E2 nu12 G12",
+                    is_gap=True,
                 )
 
 
@@ -637,7 +638,8 @@ def _order(frequencies: list[float | None]) -> Problems:
         cure = "; write the list the other way round" if whole else ""
         # 80,2, 146,3 is four numbers: what falls is the part after the comma, below the first frequency
         if all(b < rest[0] and b == int(b) for _, _, b in down) and rest == sorted(rest) and not whole:
-            cure = "; are these decimal commas? 80,2 is two numbers, write 80.2"
+            pair = f"{before:g},{after:g}"
+            cure = f"; are these decimal commas? {pair} is two numbers, write {pair.replace(',', '.')}"
         elif len(down) == 1 and ([0.0] + [a for _, a in known])[i - 1] <= before / 10.0 <= after:
             cure = f"; has {before:g} lost its decimal comma? {before / 10.0:g} would fit"
         yield Problem(

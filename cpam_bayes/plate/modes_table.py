@@ -87,6 +87,7 @@ _NUMBER: Final = re.compile(
     re.IGNORECASE,
 )
 # As many digits after a mark as thousands have.
+_BESIDE: Final = re.compile(r"[ \t]*[;\t][ \t]*| +(?!k?hz)", re.IGNORECASE)
 _THOUSANDS: Final = re.compile(r"[1-9]\d{0,2}[.,]\d{3}")
 ASTRAY: Final = 1.2
 """Hits further than this factor from the median of their mode are misread, or of another mode."""
@@ -187,7 +188,7 @@ def read_modes_table(
     candidates = list(itertools.islice(itertools.chain(known, guessed), _MOST_HEADS))
     # a line above the heads may have words of theirs, but no numbers below them
     found = next((one for one in candidates if _has_frequencies(one, columns_of(one.heads))), None)
-    found = found or next(iter(candidates), None)
+    found = found or next(iter(candidates), None) or (None if given else _without_heads(text))
     if found is None:
         accepted = (
             "a line of heads above the numbers with a column hz, and mode or label; or a row a hit and a "
@@ -234,6 +235,20 @@ def read_modes_table(
     hits = tuple(_hit(row, columns) for row in found.rows)
     unit = dict(columns).get("damping", "")
     return ModesTable(hits, names, unused, _step(found, columns), unit), ()
+
+
+def _without_heads(text: str) -> Delimited | None:
+    """A column of numbers alone, or beside the numbers of the modes, as a table; None of any other text."""
+    lines = [(i, line.strip()) for i, line in enumerate(text.splitlines(), 1)]
+    rows = tuple(Row(i, tuple(_BESIDE.split(line))) for i, line in lines if line and line[0] not in "#%")
+    cells = [row.cells for row in rows]
+    counted = [str(i) for i in range(1, len(rows) + 1)]
+    if len(rows) < 2 or not all(len(of) == len(cells[0]) and _NUMBER.fullmatch(of[-1]) for of in cells):
+        return None
+    if len(cells[0]) == 1:
+        return Delimited(0, ("frequency",), rows, ";")
+    is_counted = len(cells[0]) == 2 and [of[0] for of in cells] == counted
+    return Delimited(0, ("mode", "frequency"), rows, ";") if is_counted else None
 
 
 # What tells the column of the frequencies.
@@ -290,6 +305,7 @@ _IN_HZ: Final = re.compile(r"[^\d;,|\t\[(]+[\[(/ ]+k?hz[\])]?", re.IGNORECASE)
 _NUMBERED: Final = re.compile(
     r"(?P<stem>.*?)[ _.#]*(?P<n>[0-9]{1,3})\.?|(?P<at>[0-9]{1,3})(?:st|nd|rd|th|er?|[ªº°])? (?P<of>\D+)"
 )
+_OF: Final = re.compile(r"^(?:of|der|des|du|de|del|do|van|von|di) (?:the )?")
 _LABEL: Final = re.compile(r"\(\d+ ?[,;] ?\d+\)")
 # What a cell has where a hit does not show a mode, and rows that sum up those above.
 _NOT_SEEN: Final = ("-", "\N{EN DASH}", "n/a", "na", "nan", "#n/a", "#nv", "x", "?")
@@ -322,8 +338,14 @@ def _wide(heads: Sequence[str]) -> list[int] | None:
 
 
 def _numbered(text: str) -> tuple[str, int] | None:
-    """The word and the number of a head such as mode 1, 1st mode or 1; None of any other."""
-    match = _NUMBERED.fullmatch(text)
+    """The word and the number of a head such as mode 1, 1st mode, frequency of mode 1, 1; None of others."""
+    for quantity in COLUMNS["hz"]:
+        rest = _OF.sub("", text.removeprefix(f"{quantity} ").removesuffix(f" {quantity}"))
+        match = _NUMBERED.fullmatch(rest)
+        if rest != text and match and _KNOWN.get(match["of"] or match["stem"]) in ("mode", "hit"):
+            break
+    else:
+        match = _NUMBERED.fullmatch(text)
     if match is None:
         return None
     return (match["of"], int(match["at"])) if match["of"] else (match["stem"], int(match["n"]))
@@ -412,7 +434,8 @@ def _with_units(table: Delimited) -> Delimited:
         return table
     units = [cell.casefold().strip("[]() ") for cell in table.rows[0].cells]
     units[0] = units[0] if units[0] in _UNIT_CELLS else ""
-    if not {"hz", "khz"} & set(units) or any(unit not in _UNIT_CELLS for unit in units):
+    are_units = all(unit in _UNIT_CELLS or not _NUMBER.fullmatch(unit) for unit in units)
+    if not {"hz", "khz"} & set(units) or not are_units:
         return table
     heads = tuple(f"{h} [{u}]" if u else h for h, u in zip(table.heads, units, strict=False))
     return replace(table, heads=heads, rows=table.rows[1:])

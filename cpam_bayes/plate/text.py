@@ -309,8 +309,9 @@ def parse(text: str, source: str) -> Mapping[str, Any]:
     if commas:
         at = text.count("\n", 0, commas.start()) + 1
         raise PlateFileError(
-            f"{source}:{at}: {commas[1]}: are these decimal commas? 80,2 is two numbers, received "
-            f"{received(' '.join(commas[2].split()))}, accepted: 80.2, or a space after every comma"
+            f"{source}:{at}: {commas[1]}: are these decimal commas? {commas[3]},{commas[4]} is two numbers, "
+            f"received {received(' '.join(commas[2].split()))}, accepted: {commas[3]}.{commas[4]}, or a "
+            "space after every comma"
         )
     try:
         return tomllib.loads(text)
@@ -324,24 +325,34 @@ def parse(text: str, source: str) -> Mapping[str, Any]:
 
 # Whole numbers in pairs, parted by commas and spaces: 80,2, 146,3.
 _DECIMAL_COMMAS: Final = re.compile(
-    r"^[ \t]*(\w+_(?:hz|GPa)|nu12)[ \t]*=\s*(\[\s*\d+,\d+(?:,\s+\d+,\d+)+,?\s*\])", re.MULTILINE
+    r"^[ \t]*(\w+_(?:hz|GPa)|nu12)[ \t]*=\s*(\[\s*(\d+),(\d+)(?:,\s+\d+,\d+)+,?\s*\])", re.MULTILINE
 )
-# What a line has that is no TOML, and the cure.
+# What a line has that is no TOML, and the cure with its own words.
 _SLIPS: Final = (
     (re.compile(r"^[^\"'#]*([\"'])(?:(?!\1).)*$"), "; a quote is missing: a text begins and ends with one"),
-    (re.compile(r"=\s*\[[^\]\"']*\d\s*(?:;|\s-?\d)"), "; commas part the numbers of a list: [80.2, 146.3]"),
-    (re.compile(r"=\s*[({]?\s*\d+(?:\.\d+|,\d+)?\s*,\s"), "; a list stands in [ ]: [80.2, 146.3]"),
-    (re.compile(r"=\s*[+-]?\d+,\d"), "; a decimal point, not a comma: 281.5"),
-    (re.compile(r"=\s*[+-]?(?:\.\d|\d+\.\s*(?:#|$))"), "; a digit on each side of a point: 0.31"),
+    (re.compile(r"=\s*(\d{1,2}\.\d{1,2}\.\d{2,4})\b"), r'; a date stands in quotes: "\1"'),
+    (re.compile(r"=\s*\[\s*([\d.]+) ?([A-Za-z%]+)"), r"; the unit is in the key: \1, not \1 \2"),
+    (re.compile(r"=\s*\[\s*([\d.]+)\s*-\s*([\d.]+)\s*\]"), r"; a comma stands between two ends: [\1, \2]"),
+    (
+        re.compile(r"=\s*\[[^\]\"']*?([\d.]*\d)\s*(?:;\s*|\s)(-?\d[\d.]*)"),
+        r"; commas part the numbers of a list: \1, \2",
+    ),
+    (re.compile(r"=\s*[({]?\s*\d+(?:\.\d+|,\d+)?\s*,\s"), "; a list stands in [ ]"),
+    (re.compile(r"=\s*([+-]?\d+),(\d+)"), r"; a decimal point, not a comma: \1.\2"),
+    (re.compile(r"=\s*([+-]?)(\.\d+)"), r"; a digit on each side of a point: \g<1>0\2"),
+    (re.compile(r"=\s*([+-]?\d+\.)\s*(?:#|$)"), r"; a digit on each side of a point: \g<1>0"),
     (re.compile(r"=\s*[+-]?[\d.]+\s*(?:;|/|\(|--)"), "; # begins a comment"),
     (re.compile(r"=\s*(?:True|False|TRUE|FALSE)\b"), "; true and false are in small letters"),
     (re.compile(r"=\s*(?:#|$)"), "; the value is missing"),
     (re.compile(r"^(?!\[[\w.]+\]$)\W?[A-Za-z_.]+\W?$"), "; a table is headed [plate]"),
     (
         re.compile(r"^\w+(?:\s+\w+\s*=|\s+[^\s=:])"),
-        "; a key has no spaces and = stands after it: length_mm = 310.0",
+        "; a key has no spaces and = stands after it",
     ),
-    (re.compile(r"=\s*[+-]?\d[\d.]*\s*[A-Za-z°%]"), '; the unit is in the key, or a text in quotes: "185 g"'),
+    (
+        re.compile(r"=\s*([+-]?\d[\d.]*)\s*([A-Za-z°%]+)"),
+        r'; the unit is in the key, or a text in quotes: "\1 \2"',
+    ),
     (
         re.compile(
             "[\N{LEFT DOUBLE QUOTATION MARK}\N{RIGHT DOUBLE QUOTATION MARK}\N{DOUBLE LOW-9 QUOTATION MARK}"
@@ -350,9 +361,9 @@ _SLIPS: Final = (
         ),
         '; quotes are "',
     ),
-    (re.compile(r'=\s*"[^"]*\\'), "; write / for \\ in a path, or put it in single quotes: 'C:\\data'"),
+    (re.compile(r'=\s*"[^"]*\\'), r"; write / for \\ in a path, or put it in single quotes: 'C:\\data'"),
     (re.compile(r"^[A-Za-z_0-9]+\s*:"), "; = stands between a key and its value"),
-    (re.compile(r"=\s*[A-Za-z(]"), '; texts stand in quotes: edges = "FFFF"'),
+    (re.compile(r"=\s*([A-Za-z(][^#]*?)\s*(?:#|$)"), r'; texts stand in quotes: "\1"'),
 )
 
 
@@ -373,7 +384,7 @@ def _not_toml(message: str, text: str, source: str) -> str:
     shown = text.split("\n")[line - 1].strip() if line <= text.count("\n") + 1 else ""
     quoted = "".join(c if c.isprintable() else " " for c in shown[:60])
     slips = (*((slip, said, shown) for slip, said in _SLIPS), *((slip, said, what) for slip, said in _TOLD))
-    cure = next((said for slip, said, where in slips if slip.search(where)), "")
+    cure = next((match.expand(said) for slip, said, where in slips if (match := slip.search(where))), "")
     return f"{source}:{line}: file: not valid TOML, {what}{where}, received: {quoted}{cure}"
 
 

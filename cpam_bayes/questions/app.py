@@ -142,7 +142,7 @@ def app(
         folder=folder,
         tasks=Tasks(live, held, identified, diagnosed, picked, reported, listed),
         materials={key: Material(m.name, *material_lines(m)) for key, m in MATERIALS.items()},
-        blank=plate_file_text(KnownPlate("plate", edges="FFFF", layup="[0_8]")),
+        blank=plate_file_text(KnownPlate("plate", edges="FFFF", layup="[0_8]", is_typical=True)),
         example=(Path(server.__file__).parent / "pages" / "example.toml").read_text("utf-8"),
         live=Worker(patience=_PATIENCE),
         pool=Pool(2),

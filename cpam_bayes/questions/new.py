@@ -18,6 +18,7 @@ from typing import Any, ClassVar, Final
 from cpam_bayes import __version__
 from cpam_bayes.command import Command, option, positive
 from cpam_bayes.errors import PlateFileError, checked
+from cpam_bayes.formatting import listed
 from cpam_bayes.forward_model.model import ROOM_AIR
 from cpam_bayes.forward_model.preconditions import require_choice
 from cpam_bayes.plate.edges import ALL_FREE, EDGE_KEY, PLACES
@@ -92,17 +93,21 @@ class KnownPlate:
     """The known entries of a plate file; None and empty for unknown ones.
 
     size_mm : length, width, thickness. mass_g : weighed. material : a name in `MATERIALS`.
+    constants : of the data sheet, in the order of the material's; is_typical : whether typical ones stand in
+    for them, with bounds alone counting.
     frequencies_hz : ascending; table : path of a table of modes in their place.
     """
 
     name: str
-    size_mm: tuple[float, float, float] | None = None
+    size_mm: Sequence[float] | None = None
     mass_g: float | None = None
     layup: str | None = None
     edges: str | None = None
     material: str = "carbon"
+    constants: Sequence[float] = ()
+    is_typical: bool = False
     thickness_sd_mm: float | None = None
-    accelerometer: tuple[float, float, float] | None = None
+    accelerometer: Sequence[float] | None = None
     air_density_kg_m3: float | None = None
     frequencies_hz: Sequence[float] = ()
     table: str | None = None
@@ -143,7 +148,9 @@ def plate_file_text(known: KnownPlate) -> str:
     ]
     if known.table is not None or known.frequencies_hz:
         measured = [line for line in measured if not line.startswith("#")]
-    of_material, unknown = material_lines(material)
+    of_material, unknown = (
+        material_lines(material) if known.is_typical else _stated_lines(material, known.constants)
+    )
     blocks = [
         [f"name = {json.dumps(known.name, ensure_ascii=False)}"],
         ["[plate]", *plate],
@@ -153,11 +160,7 @@ def plate_file_text(known: KnownPlate) -> str:
             _line("thickness_mm", known.thickness_sd_mm, 0.02, "standard deviation of the mean thickness"),
             "# mass_g = 0.1",
         ],
-        [
-            f"# typical of {material.name} ({material.source}), not of this plate: put the data sheet's",
-            "[material]",
-            *of_material,
-        ],
+        ["[material]", *of_material],
         ["# what to identify, with the bounds of the search", "[unknowns]", *unknown],
         [
             "# a mass that stays on the plate while it is tapped, such as an accelerometer",
@@ -188,12 +191,27 @@ def plate_file_text(known: KnownPlate) -> str:
 
 
 def material_lines(material: TypicalMaterial) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The lines of [material] and of [unknowns]."""
+    """The lines of [material] and of [unknowns] with typical constants."""
+    head, unknown = _stated_lines(material, ())
+    return (
+        *head[:2],
+        f"{'known = false':<28} # typical ({material.source}): until this line is gone, bounds alone count",
+        *(_line(key, value, 0.0, "") for key, value in material.constants.items()),
+    ), unknown
+
+
+def _stated_lines(
+    material: TypicalMaterial, constants: Sequence[float]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The same with the constants of a data sheet, in comments where they are not known."""
+    given: Sequence[float | None] = tuple(constants) or (None,) * len(material.constants)
     return (
         _line("name", material.name, "", "plates of one name share their constants in `diagnose`"),
         _line("symmetry", material.symmetry, "", "isotropic, transversely_isotropic or orthotropic"),
-        f"{'known = false':<28} # until this line is gone, bounds alone count",
-        *(_line(key, value, 0.0, "") for key, value in material.constants.items()),
+        *(
+            _line(key, value, typical, "of the data sheet")
+            for (key, typical), value in zip(material.constants.items(), given, strict=True)
+        ),
     ), tuple(_line(key, list(pair), [], "") for key, pair in material.bounds.items())
 
 
@@ -235,6 +253,7 @@ def new(
     layup: str | None = None,
     edges: str | None = None,
     material: str = "carbon",
+    constants: Sequence[float] = (),
     thickness_sd_mm: float | None = None,
     accelerometer: Sequence[float] | None = None,
     air_density_kg_m3: float | None = None,
@@ -249,7 +268,9 @@ def new(
     size_mm : length, width and thickness
     mass_g : of the bare plate
     layup, edges : as in a plate file
-    material : a name in `MATERIALS`, whose typical constants and bounds it begins with
+    material : a name in `MATERIALS`, whose bounds the search has
+    constants : those of its data sheet, E1, E2, nu12, G12 in GPa, of a metal E1, nu12; left out they are to
+        be filled in
     thickness_sd_mm : standard deviation of the mean thickness
     accelerometer : its mass, g, and place x, y, mm; None for a microphone or a laser
     air_density_kg_m3 : of the air about the plate, 1.2 in a room; None for none in the model
@@ -267,22 +288,25 @@ def new(
     >>> with TemporaryDirectory() as directory:
     ...     file = cb.new(f"{directory}/panel.toml", size_mm=(310, 228, 3.1), material="metal", edges="FFFF")
     >>> [problem.partition(", ")[0] for problem in file.missing]
-    ['plate: density', 'measurement: frequencies']
+    ['plate: density', 'material.E1_GPa: missing', 'material.nu12: missing', 'measurement: frequencies']
     """
     target = require_new(path)
-    text, missing = plate_text(
-        target,
-        size_mm=size_mm,
-        mass_g=mass_g,
-        layup=layup,
-        edges=edges,
-        material=material,
-        thickness_sd_mm=thickness_sd_mm,
-        accelerometer=accelerometer,
-        air_density_kg_m3=air_density_kg_m3,
-        frequencies_hz=frequencies_hz,
-        table=table,
+    known = KnownPlate(
+        target.stem,
+        size_mm,
+        mass_g,
+        layup,
+        edges,
+        material,
+        constants,
+        False,
+        thickness_sd_mm,
+        accelerometer,
+        air_density_kg_m3,
+        tuple(frequencies_hz),
+        table,
     )
+    text, missing = plate_text(target, known)
     try:
         with draft_directory(target.parent) as draft:
             written = draft / "file"
@@ -304,42 +328,17 @@ def require_new(path: str | Path) -> Path:
     return target
 
 
-def plate_text(
-    path: str | Path,
-    *,
-    size_mm: Sequence[float] | None = None,
-    mass_g: float | None = None,
-    layup: str | None = None,
-    edges: str | None = None,
-    material: str = "carbon",
-    thickness_sd_mm: float | None = None,
-    accelerometer: Sequence[float] | None = None,
-    air_density_kg_m3: float | None = None,
-    frequencies_hz: Sequence[float] = (),
-    table: str | None = None,
-) -> tuple[str, tuple[str, ...]]:
-    """The text of a new plate file, and what it lacks, a sentence each; arguments and errors as `new`."""
-    require_choice("material", material, tuple(MATERIALS))
-    size = None if size_mm is None else tuple(size_mm)
-    if size is not None and len(size) != 3:
-        raise ValueError(f"size: received {len(size)} numbers, accepted: length, width and thickness in mm")
-    held = None if accelerometer is None else tuple(accelerometer)
-    if held is not None and len(held) != 3:
-        raise ValueError(f"accelerometer: received {len(held)} numbers, accepted: mass in g, x and y in mm")
-    target = Path(path)
-    known = KnownPlate(
-        target.stem,
-        size,
-        mass_g,
-        layup,
-        edges,
-        material,
-        thickness_sd_mm,
-        held,
-        air_density_kg_m3,
-        tuple(frequencies_hz),
-        table,
-    )
+def plate_text(target: Path, known: KnownPlate) -> tuple[str, tuple[str, ...]]:
+    """The text of a new plate file, and what it lacks, a sentence each; errors as of `new`."""
+    require_choice("material", known.material, tuple(MATERIALS))
+    names = tuple(MATERIALS[known.material].constants)
+    for what, given, accepted in (
+        ("size", known.size_mm, ("length", "width", "thickness in mm")),
+        ("accelerometer", known.accelerometer, ("mass in g", "x", "y in mm")),
+        ("constants", known.constants or None, names),
+    ):
+        if given is not None and len(given) != len(accepted):
+            raise ValueError(f"{what}: received {len(given)} numbers, accepted: {listed(accepted, 'and')}")
     text = plate_file_text(known)
     return text, _missing(text, target)
 
@@ -372,11 +371,11 @@ def _present(result: NewPlateResult) -> Report:
             headline=f"{result.path} is written; {lacks}.",
             tables=(remarks("Missing", result.missing),),
             lines=(
-                "Constants and bounds are typical of the material, not those of the plate.",
+                "The bounds of the search are typical of the material.",
                 *(() if result.handling is None else (result.handling.sentence,)),
             ),
-            next_step="fill in the lines that begin with #, put the constants of the data sheet, and see how "
-            f"the file is read:  cpam-bayes forward {shlex.quote(str(result.path))}",
+            next_step="fill in the lines that begin with #, and see how the file is read:  "
+            f"cpam-bayes forward {shlex.quote(str(result.path))}",
         ),
         document={
             "command": result.command,
@@ -435,6 +434,11 @@ QUESTIONS: Final = (
     Question("mass_g", "Mass of the bare plate in g", _number),
     Question(
         "material", f"Material, one of {' '.join(MATERIALS)}; left empty: {_FIRST_MATERIAL}", str.casefold
+    ),
+    Question(
+        "constants",
+        "E1 E2 nu12 G12 of its data sheet in GPa, of a metal E1 nu12; left empty: to be put into the file",
+        _numbers,
     ),
     Question("layup", 'Layup in degrees, bottom to top, such as [0/90]_2s or [0_8]; "?" is unknown', str),
     Question(
@@ -513,7 +517,7 @@ def _asked_at_a_terminal(path: str, **given: Any) -> dict[str, Any]:
     if given or sys.stdin is None or not sys.stdin.isatty():
         return {}
     target = require_new(path)
-    return asked(lambda told: plate_text(target, **told))
+    return asked(lambda told: plate_text(target, KnownPlate(target.stem, **told)))
 
 
 _NUMBER: Final = positive(1e9)
@@ -554,7 +558,15 @@ COMMAND: Final = Command(
             "--material",
             choices=tuple(MATERIALS),
             default=argparse.SUPPRESS,
-            help=f"whose typical constants and bounds it begins with (default: {_FIRST_MATERIAL})",
+            help=f"whose typical bounds the search has (default: {_FIRST_MATERIAL})",
+        ),
+        option(
+            "--constants",
+            nargs="+",
+            type=_NUMBER,
+            default=argparse.SUPPRESS,
+            metavar="VALUE",
+            help="E1 E2 nu12 G12 of the data sheet, GPa; of a metal E1 nu12",
         ),
         option(
             "--thickness-sd",

@@ -76,7 +76,7 @@ def save(result: Answer, stage: Stage | None) -> tuple[str, ...]:
     (draft / f"{result.command}.json").write_text(json_text(report.document), encoding="utf-8")
     _moved(draft, directory)
     for name, text in result.texts().items():
-        (draft / name).write_text(text, encoding="utf-8")
+        (draft / name).write_bytes(_encoded(text, name))
     for name, dataset in result.datasets().items():
         dataset.to_netcdf(draft / name, engine="h5netcdf")
     notes = _draws_written(result, draft, directory) if result.has_draws else ()
@@ -111,10 +111,14 @@ def save_tables(result: Answer, csv: str | None, xlsx: str | None) -> None:
         return
     tables = result.report().written
     if csv is not None:
-        # the mark tells Excel that it is UTF-8
-        _put(Path(csv), csv_text(tables[0]).encode("utf-8-sig"))
+        _put(Path(csv), _encoded(csv_text(tables[0]), csv))
     if xlsx is not None:
         _put(Path(xlsx), xlsx_bytes(tables))
+
+
+def _encoded(text: str, name: str) -> bytes:
+    """A text as its file holds it; the mark of a table tells Excel that it is UTF-8."""
+    return text.encode("utf-8-sig" if name.casefold().endswith(".csv") else "utf-8")
 
 
 def _put(path: Path, content: bytes) -> None:

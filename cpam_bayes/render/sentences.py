@@ -463,7 +463,7 @@ def correction_step(written: Iterable[str], of: Sequence[str] = ()) -> str:
     """
     whose = f" of {listed(of, 'and')}" if of else ""
     files = listed([*written], "and")
-    return f"correct the plate file{whose}{f'; --out DIR writes it as {files}' if files else ''}."
+    return f"correct the plate file{whose}{f', as in {files} in the directory of --out' if files else ''}."
 
 
 def mismatch_step(

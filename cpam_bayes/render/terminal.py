@@ -149,6 +149,10 @@ class Terminal:
         """Show one line about what begins."""
         announce(text, self.quiet)
 
+    def promise(self, text: str) -> None:
+        """Show one line that must stand before the answer."""
+        announce(text, False)
+
     def stage(
         self, title: str, total: int, described: Described | None = None, counted: str = ""
     ) -> AbstractContextManager[Progress]:

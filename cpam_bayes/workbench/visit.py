@@ -91,6 +91,8 @@ class Shown:
         """Tell what begins."""
         self._tell(-1.0, text)
 
+    promise = announce
+
     @contextmanager
     def stage(
         self, title: str, total: int, described: Described | None = None, counted: str = ""

@@ -15,9 +15,10 @@ from scipy.stats import norm
 import cpam_bayes as cb
 from cpam_bayes.batches.geometry import carried, groups_of, size_powers
 from cpam_bayes.batches.limits import MarginalPosterior, control_chart, read_limit
-from cpam_bayes.batches.plate_row import PlateRow, computed_row, row_key, row_of
+from cpam_bayes.batches.plate_row import PlateDiagnosis, PlateRow, computed_row, row_key, row_of
 from cpam_bayes.plate import Specimen
-from cpam_bayes.questions.batch.result import CERTIFICATE
+from cpam_bayes.questions.batch.result import CERTIFICATE, BatchResult
+from cpam_bayes.questions.batch.verdicts import why_not_judged
 from tests.batches.plates import N_MODES, exact, plate, with_noise, written
 from tests.hybrids import hybrid
 from tests.plate_file import refused
@@ -238,7 +239,7 @@ def test_a_plate_that_fails_says_why_and_the_others_are_done(
     for row in (rows[i] for i in (0, 2, 5)):
         p = row["limits"]["nu12 <= 0.3"]
         assert row["verdict"] == ("fail" if p <= 0.05 else "too close to call")
-    table = list(csv.DictReader((out / "results.csv").read_text(encoding="utf-8").splitlines()))
+    table = list(csv.DictReader((out / "results.csv").read_text(encoding="utf-8-sig").splitlines()))
     assert [row["status"] for row in table] == [row["status"] for row in rows]
     assert float(table[0]["E1_GPa"]) == pytest.approx(rows[0]["constants"]["E1_GPa"]["value"], rel=1e-6)
     assert (table[1]["E1_GPa"], table[0]["P(E1_GPa >= 60)"] > "0.99") == ("", True)
@@ -334,6 +335,25 @@ def test_a_folder_of_plates_has_its_four_verdicts_first_and_a_certificate(tmp_pa
     shown = f"{whole.text} GPa".replace("+-", "±").replace(" ", "\N{NO-BREAK SPACE}")
     assert f"E1: {shown}" in page
     assert "certificate.html" not in cb.batch("A1").texts()
+
+
+@pytest.mark.parametrize(
+    ("claim", "causes", "said"),
+    [
+        ("named", ("sensor_mass",), "a mass of about 7 g left on?"),
+        ("class", ("sensor_mass", "outlier"), "a mass of about 7 g left on or misread frequency?"),
+        ("named", ("outlier",), "frequency 9 misread?"),
+        ("undecided", ("sensor_mass", "damage"), "frequency 9 misread?"),
+    ],
+)
+def test_a_cause_that_a_diagnosis_names_is_said_before_a_slip_of_the_list(
+    claim: str, causes: tuple[str, ...], said: str
+) -> None:
+    found = PlateDiagnosis(claim, causes, 0.95, 0.0, 0.007)
+    row = PlateRow("b.toml", "b", "done", "", misfit=3.0, slip=("misread", 9), diagnosis=found)
+    result = BatchResult.__new__(BatchResult)  # no limit is asked for where the model does not fit
+    assert why_not_judged(result, row) == said
+    assert why_not_judged(result, replace(row, slip=("sides", 0), diagnosis=None)).startswith("length and")
 
 
 def test_a_certificate_ties_specimen_and_date_to_their_plate_and_says_once_what_all_share() -> None:

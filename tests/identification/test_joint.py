@@ -74,7 +74,7 @@ def test_the_slip_of_one_list_is_named_with_its_corrected_file(tmp_path: Path) -
     assert (name, others) == ("corrected_2.toml", [])
     assert 'edges = "CFFF"' in text
     assert joint.report().summary.next_step == (
-        "correct the plate file of clamped; --out DIR writes it as corrected_2.toml."
+        "correct the plate file of clamped, as in corrected_2.toml in the directory of --out."
     )
     assert [len(p["explained_by"]) for p in joint.to_dict()["plates"]] == [0, 1]
 

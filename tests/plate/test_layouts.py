@@ -43,6 +43,14 @@ def test_a_table_says_the_same_however_it_is_written(measured, content: str | by
 
 
 WRITTEN_IN_LABORATORIES: dict[str, str | bytes] = {
+    "no heads": "1;101,5\n2;305,25\n3;333\n",
+    "a column of numbers": "# tap test\n101,5\n305,25\n333\n",
+    "a line of other units": "Frequenz;Amplitude;Q\nHz;m/s\u00b2;-\n101,5;2;9\n305,25;2;\n333;3;\n",
+    "wide, Frequenz Mode 1 (Hz)": wide(
+        ";", [f"Frequenz Mode {i} (Hz)" for i in (1, 2, 3)], first="Schlag", mark=","
+    ),
+    "wide, frequency of mode 1": wide(",", [f"Frequency of mode {i}" for i in (1, 2, 3)], first="Run"),
+    "wide, Mode 1 frequency [Hz]": wide(",", [f"Mode {i} frequency [Hz]" for i in (1, 2, 3)]),
     "long, English": "Mode,Natural frequency (Hz)\n1,101.5\n2,305.25\n3,333\n",
     "long, German, decimal commas": "Modus;Frequenz [Hz]\n1;101,5\n2;305,25\n3;333,0\n",
     "long, German, cp1252": "Nr;Eigenfrequenz in Hz;D\u00e4mpfung\n1;101,5;0,01\n2;305,25;\n3;333;\n".encode(
@@ -221,8 +229,8 @@ AMBIGUOUS: dict[str, tuple[str | bytes, str]] = {
         "3 cells for 2",
     ),
     "heads in the wrong order": ("f [Hz];Mode\n1;101,5\n2;305,25\n", "the numbers of modes, received 1, 2"),
-    "no heads": ("1;101,5\n2;305,25\n3;333\n", "a line of heads above the numbers"),
-    "no heads, whole numbers": ("1;101\n2;305\n3;333\n", "a line of heads above the numbers"),
+    "no heads, two columns": ("0,1;101,5\n0,2;305,25\n0,1;333\n", "a line of heads above the numbers"),
+    "no heads, commas": ("1,101\n2,305\n3,333\n", "no mark between thousands"),
     "words of heads apart by one space": (
         "Mode Natural frequency (Hz) Loss\n1 101.5 0.4\n2 305 0.3\n",
         "no column",

@@ -271,7 +271,7 @@ def packed(size: int) -> bytes:
         ("", "no column of frequencies"),
         (b"\x00\x01\x02" * 50, "no column of frequencies"),
         ("hz\n" + "".join(f"{100 + i}\n" for i in range(101)), "too many modes, received 101"),
-        ("1;101,5\n2;305,25\n", "no column of frequencies"),
+        ("2;101,5\n1;305,25\n", "no column of frequencies"),
         ("mode;left [Hz];right [Hz]\n1;101,5;101,6\n", "name it in [measurement.columns]"),
         ("hit,1,2\n1,101,5,305,2\n", "decimal commas need another separator"),
         (wide(";", THREE, first="hit").replace("305.2", "13.05,2"), "not a number"),

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -19,12 +20,18 @@ from tests.plate_file import Run, refused
 
 FULL = ("--size", "310", "228", "3.1", "--mass", "340.7", "--edges", "FFFF", "--frequencies", "80.2", "146.3")
 
+ALUMINIUM: dict[str, Any] = {"material": "metal", "constants": (69.0, 0.33), "edges": "FFFF"}
+SHEET = ("--constants", "132", "9.1", "0.31", "4.8")
+
 
 @pytest.mark.parametrize("material", MATERIALS)
 def test_a_file_of_a_plate_that_is_known_is_read_as_it_is(run, tmp_path, material):
     path = tmp_path / "panel 12.toml"
     layup = () if material == "metal" else ("--layup", "[0/90]_s")
-    status, out, err = run("new", path, *FULL, *layup, "--material", material, "--json")
+    sheet = tuple(MATERIALS[material].constants.values())
+    status, out, err = run(
+        "new", path, *FULL, *layup, "--material", material, "--constants", *sheet, "--json"
+    )
     assert (status, err) == (0, "")
     assert (json.loads(out)["path"], json.loads(out)["missing"]) == (str(path), [])
     specimen = cb.read_plate(path)
@@ -42,7 +49,7 @@ def test_a_file_of_a_plate_that_is_known_is_read_as_it_is(run, tmp_path, materia
 
 
 def test_where_to_hold_and_to_hit_is_said_as_soon_as_the_plate_is_known(tmp_path):
-    known = cb.new(tmp_path / "known.toml", size_mm=(300, 200, 3), mass_g=486, material="metal", edges="FFFF")
+    known = cb.new(tmp_path / "known.toml", size_mm=(300, 200, 3), mass_g=486, **ALUMINIUM)
     assert known.handling is not None
     assert known.handling.sentence in known.summary().replace("\n  ", " ")
     assert cb.new(tmp_path / "size.toml", size_mm=(300, 200, 3)).handling is None
@@ -52,7 +59,8 @@ def test_what_is_not_known_is_said_and_stands_in_comments(tmp_path):
     path = tmp_path / "panel.toml"
     keys = [problem.partition(":")[0] for problem in cb.new(path).to_dict()["missing"]]
     of_plate = ("plate.length_mm", "plate.width_mm", "plate.thickness_mm", "plate.edges", "plate.layup")
-    assert sorted(keys) == sorted(("plate", *of_plate, "measurement"))
+    of_material = (f"material.{key}" for key in MATERIALS["carbon"].constants)
+    assert sorted(keys) == sorted(("plate", *of_plate, *of_material, "measurement"))
     with pytest.raises(PlateFileError) as caught:
         cb.read_plate(path)
     assert len(caught.value.problems) == len(keys)
@@ -76,7 +84,8 @@ def test_lines_in_comments_are_examples_that_fill_the_gaps(tmp_path):
 def test_a_table_takes_the_place_of_the_frequencies(run, tmp_path):
     (tmp_path / "modes.csv").write_text("mode;hz\n1;80,2\n2;146,3\n", encoding="utf-8")
     path = tmp_path / "panel.toml"
-    assert run("new", path, *FULL[:8], "--layup", "[0]", "--table", "modes.csv", "--quiet")[0] == 0
+    stated = ("--layup", "[0]", *SHEET)
+    assert run("new", path, *FULL[:8], *stated, "--table", "modes.csv", "--quiet")[0] == 0
     assert cb.read_plate(path).measurement.frequencies.tolist() == [80.2, 146.3]
 
 
@@ -101,6 +110,7 @@ ANSWERS = (
     "310 228 3.1",
     "340.7",
     "carbon",
+    "132 9.1 0.31 4.8",
     "[0/90]_2s",
     "ffff",
     "0.02",
@@ -144,7 +154,7 @@ def test_the_file_is_that_of_the_options(run: Run, tmp_path: Path, monkeypatch: 
     run("new", tmp_path / "panel.toml")
     (tmp_path / "other").mkdir()
     measured = ("--thickness-sd", "0.02", "--accelerometer", "0.6", "300", "220", "--air", "1.2")
-    options = (*FULL, "218.6", "--material", "carbon", "--layup", "[0/90]_2s", *measured)
+    options = (*FULL, "218.6", "--material", "carbon", *SHEET, "--layup", "[0/90]_2s", *measured)
     status, _, err = run("new", tmp_path / "other" / "panel.toml", *options)
     assert (status, err) == (0, "")
     first, second = ((tmp_path / p).read_text("utf-8") for p in ("panel.toml", "other/panel.toml"))
@@ -155,22 +165,24 @@ def test_the_file_is_that_of_the_options(run: Run, tmp_path: Path, monkeypatch: 
     ("at", "wrong", "said"),
     [
         (0, "310 by 228", "accepted: numbers with spaces"),
-        (9, "80,146", "accepted: numbers with spaces"),
-        (9, "80,146,218", "accepted: numbers with spaces"),
-        (9, "80,2 146.3", "accepted: numbers with spaces"),
+        (10, "80,146", "accepted: numbers with spaces"),
+        (10, "80,146,218", "accepted: numbers with spaces"),
+        (10, "80,2 146.3", "accepted: numbers with spaces"),
         (0, "310 228", "accepted: length, width and thickness"),
         (0, "3.1 2.2 310", "not a plate"),
         (1, "1 2", "accepted: one number"),
         (1, "0.3407", "is the mass in kg?"),
         (2, "wood", "accepted: carbon glass"),
-        (3, "[0/9x]", "malformed layup"),
-        (4, "FFFX", "plate.edges: malformed"),
-        (5, "little", "accepted: one number"),
-        (6, "0.6", "accepted: mass in g, x and y in mm"),
-        (6, "0.6 400 220", "outside the plate"),
-        (7, "perhaps", "accepted: yes or no"),
-        (8, "none.csv", "no such file"),
-        (9, "200 100", "descending frequencies"),
+        (3, "132 9.1", "accepted: E1_GPa, E2_GPa, nu12 and G12_GPa"),
+        (3, "9.1 132 0.31 4.8", "eq. (9)"),
+        (4, "[0/9x]", "malformed layup"),
+        (5, "FFFX", "plate.edges: malformed"),
+        (6, "little", "accepted: one number"),
+        (7, "0.6", "accepted: mass in g, x and y in mm"),
+        (7, "0.6 400 220", "outside the plate"),
+        (8, "perhaps", "accepted: yes or no"),
+        (9, "none.csv", "no such file"),
+        (10, "200 100", "descending frequencies"),
     ],
 )
 def test_what_cannot_be_is_asked_again(
@@ -201,7 +213,7 @@ def test_back_passes_over_what_was_not_asked_and_ends_at_the_first_question(
 def test_numbers_are_read_as_they_are_written_by_hand(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: str
 ) -> None:
-    typed(monkeypatch, size, "340,7", *ANSWERS[2:9], "80,2 146,3 218,6")
+    typed(monkeypatch, size, "340,7", *ANSWERS[2:10], "80,2 146,3 218,6")
     assert run("new", tmp_path / "panel.toml")[0] == 0
     read = cb.read_plate(tmp_path / "panel.toml")
     assert (read.plate.length, read.plate.thickness, read.plate.mass) == pytest.approx((0.31, 3.1e-3, 0.3407))
@@ -210,7 +222,7 @@ def test_numbers_are_read_as_they_are_written_by_hand(
 
 
 def test_empty_lines_leave_all_open(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    typed(monkeypatch, *[""] * 10)
+    typed(monkeypatch, *[""] * 11)
     status, _, _ = run("new", tmp_path / "panel.toml")
     assert status == 0
     (tmp_path / "other").mkdir()
@@ -221,10 +233,10 @@ def test_a_metal_has_no_layup_and_a_table_no_list(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "modes.csv").write_text("mode,hz\n1,80.2\n2,146.3\n", encoding="utf-8")
-    left = typed(monkeypatch, "300 280 3", "680", "Metal", "FFFF", "", "", "no", "modes.csv", "not asked for")
+    left = typed(monkeypatch, "300 280 3", "680", "Metal", "69 0.33", "FFFF", "", "", "no", "modes.csv", "")
     status, _, _ = run("new", tmp_path / "panel.toml")
     assert status == 0
-    assert left.read() == "not asked for\n"
+    assert left.read() == "\n", "the list is not asked for"
     plate = cb.read_plate(tmp_path / "panel.toml")
     assert plate.material.isotropic
     assert plate.measurement is not None

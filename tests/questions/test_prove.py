@@ -13,7 +13,8 @@ import pytest
 import cpam_bayes as cb
 from cpam_bayes.cli import main
 from cpam_bayes.errors import PlateFileError
-from cpam_bayes.questions.prove import CoinResult, _given_twice
+from cpam_bayes.questions.prove import CoinResult
+from cpam_bayes.questions.prove.lists import given_twice
 from cpam_bayes.render.notices import sentence_of
 from cpam_bayes.render.terminal import plain_text
 from tests.plate_file import PLATE
@@ -97,11 +98,35 @@ def test_the_hash_is_shown_before_the_work(
     lists: tuple[Path, str, str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, plate, coin, none = lists
-    assert main(["prove", plate, coin, none, "--sealed", str(folder / "seal.toml"), "--json"]) == 0
+    arguments = ["prove", plate, coin, none, "--sealed", str(folder / "seal.toml"), "--json"]
+    assert main(arguments) == 0
     shown = capsys.readouterr()
     digest = hashlib.sha256(SEAL.encode()).hexdigest()
     assert shown.err.index(digest) < shown.err.index("identify plate 7")
     assert json.loads(shown.out)["hash"] == digest
+    # quiet is without progress, not without the promise
+    assert main([*arguments, "--quiet"]) == 0
+    assert capsys.readouterr().err == f"SHA-256 of the seal: {digest}\n"
+
+
+def test_the_certificate_says_what_was_found_for_what_was_sealed_and_the_mirror_images(
+    result: CoinResult,
+) -> None:
+    coin, none = (coin.found for coin in result.coins)
+    certificate = result.report().sections[0].tables[0]
+    of_coin, of_none = (row[1] for row in certificate.rows if row[0] in ("coin.csv", "none.toml"))
+    assert of_coin.startswith("In this laboratory, on this plate, ")
+    assert "was found for 20.0 g, " in of_coin
+    assert "Sealed at (60, 50) mm." in of_coin
+    assert len(coin.images) == 3
+    for x, y in coin.images:
+        assert f"({1e3 * x:.0f}, {1e3 * y:.0f})" in of_coin
+    assert "g or more was found for no mass; " in of_none
+    assert "(0, 0)" not in of_none
+    assert not none.images or "mirror" not in of_none
+    single = replace(result, coins=result.coins[:1])
+    (said,) = (line for line in single.report().summary.lines if "mirror images" in line)
+    assert f"({1e3 * coin.images[0][0]:.0f}, {1e3 * coin.images[0][1]:.0f})" in said
 
 
 @pytest.mark.parametrize(
@@ -157,11 +182,11 @@ def test_a_list_that_is_given_twice_is_told(lists: tuple[Path, str, str, str]) -
     first = cb.read_plate(lists[1]).measurement
     assert first is not None
     other = replace(first, frequencies=first.frequencies + 0.01)
-    found = list(_given_twice(first, [("a.csv", other), ("b.csv", first), ("c.csv", other)]))
+    found = list(given_twice(first, [("a.csv", other), ("b.csv", first), ("c.csv", other)]))
     assert [n.facts for n in found] == [
         {"name": "b.csv", "before": "the first list"},
         {"name": "c.csv", "before": "a.csv"},
     ]
-    (same,) = _given_twice(first, [("a.csv", other), ("a.csv", other)])
+    (same,) = given_twice(first, [("a.csv", other), ("a.csv", other)])
     assert same.facts == {"name": "a.csv", "before": "a.csv"}
     assert sentence_of(found[0]).startswith("The frequencies of b.csv are those of the first list")

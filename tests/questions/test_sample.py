@@ -230,7 +230,7 @@ def test_a_slip_of_the_file_is_named_and_corrected(tmp_path: Path) -> None:
     ]
     assert "With the plate clamped at x = 0, not free (CFFF) it fits to" in answer.slips[0]
     assert answer.report().summary.next_step == (
-        "correct the plate file; --out DIR writes it as corrected.toml."
+        "correct the plate file, as in corrected.toml in the directory of --out."
     )
     assert 'edges = "CFFF"' in answer.texts()["corrected.toml"]
     assert [slip["slip"] for slip in answer.to_dict()["explained_by"]] == ["clamped"]

@@ -41,6 +41,7 @@ from cpam_bayes.parallel import WorkersLostError, open_executor, run
 from cpam_bayes.plate import PlateLike, Specimen, read_plate, user_name
 from cpam_bayes.questions.batch import page as page  # how it is shown
 from cpam_bayes.questions.batch.result import BatchResult
+from cpam_bayes.questions.batch.verdicts import weighs_slip
 from cpam_bayes.questions.identify.pso import identify
 from cpam_bayes.result import within_time
 from cpam_bayes.running import SILENT, TimeIsUpError, Watch, cut_short, is_time_up
@@ -293,9 +294,9 @@ def _explained(
     workers: int | None,
     watch: Watch,
 ) -> list[PlateRow]:
-    """The rows with a brief diagnosis of those that misfit without a slip."""
+    """The rows with a brief diagnosis of those that misfit, but for a slip that no diagnosis weighs."""
     done, sources = list(rows), fingerprint(__name__)
-    wrong = [i for i, row in enumerate(rows) if row.misfit > 1.0 and row.slip is None]
+    wrong = [i for i, r in enumerate(rows) if r.misfit > 1.0 and (r.slip is None or weighs_slip(r.slip))]
     wrong = sorted(sorted(wrong, key=lambda i: -rows[i].misfit)[:MOST_DIAGNOSED])
     plates = {i: plate for i in wrong if isinstance(plate := items[i][1], Specimen)}
     keys = {i: row_key(plate, seed, "brief", sources) for i, plate in plates.items()}

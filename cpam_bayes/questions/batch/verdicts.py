@@ -18,7 +18,14 @@ from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.questions.batch.result import CERTIFICATE, SURE, BatchResult, BatchVerdict, verdict
 from cpam_bayes.render.report import Column, Rows, Section, facts
 
-__all__ = ["certificate_section", "four_verdicts", "limit_step", "slip_question", "why_not_judged"]
+__all__ = [
+    "certificate_section",
+    "four_verdicts",
+    "limit_step",
+    "slip_question",
+    "weighs_slip",
+    "why_not_judged",
+]
 
 # Plates of one verdict that are named, and causes of one plate.
 _MOST_NAMED, _MOST_CAUSES = 3, 2
@@ -130,17 +137,29 @@ def slip_question(kind: str, number: int) -> str:
     return _SLIPS[kind].format(number=number)
 
 
+def weighs_slip(slip: tuple[str, int]) -> bool:
+    """Whether a diagnosis weighs a slip, one of the list, against all other causes."""
+    return slip[1] > 0
+
+
 def why_not_judged(result: BatchResult, row: PlateRow) -> str:
     """What stands against judging a plate: no answer, a slip, a cause, a misfit, constants left open."""
     if row.status == "failed":
         return "no answer"
-    if row.slip is not None:
+    cause = _cause(row)
+    if row.slip is not None and not (cause and _is_of_plate(row)):
         return slip_question(*row.slip)
     if row.misfit > 1.0:
-        return _cause(row) or f"misfit {significant(row.misfit, 2)} times the noise"
+        return cause or f"misfit {significant(row.misfit, 2)} times the noise"
     names = [limit.name for limit in result.limits]
     left = [n for n in dict.fromkeys(names) if (c := row.constant(n)) is None or c.is_open]
     return f"{listed(left, 'and')} not determined"
+
+
+def _is_of_plate(row: PlateRow) -> bool:
+    """Whether a diagnosis names a cause that is no error of the list, of which a slip says more."""
+    of_list = {effect.name for effect in CATALOGUE if effect.pairings}
+    return row.diagnosis is not None and not of_list.issuperset(row.diagnosis.causes)
 
 
 def _cause(row: PlateRow) -> str:

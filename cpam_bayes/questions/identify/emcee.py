@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.answer import Constant, FrequencyRow, Notice, Reliance, Verdict
+from cpam_bayes.diagnosis.slips import Slip, corrected_texts, require_reachable_or_slip, with_slips
 from cpam_bayes.errors import checked
 from cpam_bayes.forward_model.known_errors import FREQUENCY_SCALE, ScaleError, absorbed
 from cpam_bayes.forward_model.labels import LabelledModel, ShapePairing, by_shape, list_order
@@ -34,7 +35,6 @@ from cpam_bayes.forward_model.preconditions import (
 from cpam_bayes.forward_model.reduced import ReducedModel, basis_error
 from cpam_bayes.identification.point import reliances, sampled_notices, verdict_of
 from cpam_bayes.identification.search import NO_MESH, required, start_of
-from cpam_bayes.identification.slips import Slip, corrected_texts, require_reachable_or_slip, with_slips
 from cpam_bayes.inference.assessment import (
     Assessment,
     assess,
@@ -264,7 +264,7 @@ def sample(
         raise ValueError(f"store: received {str(store)!r}, accepted: a directory")
     specimen = require_supported(read_plate(plate), NO_MESH)
     required(specimen)
-    require_reachable_or_slip(specimen, seed)
+    require_reachable_or_slip(specimen)
     specimen = with_references(specimen)
     latest: list[Diagnostics] = []
 
@@ -371,7 +371,7 @@ def _summarise(
     shown_modes, shapes = tuple(modes[j] for j in order), by_shape(model)
     noise = marginals.get("relative_std")
     misfit, excess = _excess(measurement, left, len(constants), noise, inferred=inferred)
-    excess, explained_by = with_slips(excess, specimen, misfit, seed, notify)
+    excess, explained_by = with_slips(excess, specimen, misfit, notify)
     slips = _slips(specimen, measurement, constants, excess, is_named=bool(explained_by))
     return SampledResult(
         seed=seed,

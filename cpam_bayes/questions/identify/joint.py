@@ -12,6 +12,14 @@ import numpy as np
 from cpam_bayes import __version__
 from cpam_bayes.answer import Constant, FrequencyRow, Notice
 from cpam_bayes.diagnosis.comparison import SCATTER
+from cpam_bayes.diagnosis.slips import (
+    GROSS,
+    Slip,
+    corrected_texts,
+    require_reachable_or_slip,
+    slip_records,
+    with_slips,
+)
 from cpam_bayes.formatting import listed, significant
 from cpam_bayes.forward_model.known_errors import sandwich_notices
 from cpam_bayes.forward_model.model import with_references
@@ -32,14 +40,6 @@ from cpam_bayes.identification.joint import (
     require_joint,
 )
 from cpam_bayes.identification.search import NO_MESH, required
-from cpam_bayes.identification.slips import (
-    GROSS,
-    Slip,
-    corrected_texts,
-    require_reachable_or_slip,
-    slip_records,
-    with_slips,
-)
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, user_name
 from cpam_bayes.render.figures import PREDICTED, new_figure
@@ -139,7 +139,7 @@ def identify_jointly(
     specimens = tuple(require_paired_list(require_supported(read_plate(p), NO_MESH)) for p in plates)
     for specimen in specimens:
         required(specimen)
-        require_reachable_or_slip(specimen, seed)
+        require_reachable_or_slip(specimen)
     require_joint(specimens)
     title = f"identify {' '.join(specimen.name for specimen in specimens)}"
     with (
@@ -157,7 +157,7 @@ def identify_jointly(
         )
     # a list that fits alone is not asked
     tried = [
-        with_slips(_excess(fit), with_references(of), fit.alone, seed, watch.announce)
+        with_slips(_excess(fit), with_references(of), fit.alone, watch.announce)
         for fit, of in zip(estimate.fits, specimens, strict=True)
     ]
     slips = tuple(found for _, found in tried)

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from cpam_bayes.answer import Constant, FrequencyRow
+from cpam_bayes.diagnosis.slips import slip_records
 from cpam_bayes.formatting import NOT_KNOWN, fixed, listed, signed, significant, with_spread
 from cpam_bayes.identification.point import BY_DATA, BY_PRIOR
-from cpam_bayes.identification.slips import slip_records
 from cpam_bayes.inference.assessment import MOVED, Combination, MovedBound
 from cpam_bayes.inference.completeness import Profile
 from cpam_bayes.plate import to_user, user_name

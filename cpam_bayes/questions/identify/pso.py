@@ -11,6 +11,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, TypeVar, ove
 import numpy as np
 
 from cpam_bayes.answer import Constant, FrequencyRow, Notice, Verdict
+from cpam_bayes.diagnosis.slips import (
+    Slip,
+    corrected_texts,
+    require_reachable_or_slip,
+    slip_records,
+    with_slips,
+)
 from cpam_bayes.errors import checked
 from cpam_bayes.formatting import signed, significant
 from cpam_bayes.forward_model.labels import labelled_model
@@ -33,13 +40,6 @@ from cpam_bayes.forward_model.preconditions import (
 from cpam_bayes.identification.angle_search import AngleSearchResult, search_angles
 from cpam_bayes.identification.point import PointEstimate, estimate_constants, point_notices
 from cpam_bayes.identification.search import MOST_SWARMS, NO_MESH, Optimum, Residual, required
-from cpam_bayes.identification.slips import (
-    Slip,
-    corrected_texts,
-    require_reachable_or_slip,
-    slip_records,
-    with_slips,
-)
 from cpam_bayes.inference.sampling import arviz_data, by_user_name, described
 from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings
 from cpam_bayes.plate import Measurement, PlateLike, Specimen, read_plate, to_user, unit_of, user_name
@@ -290,7 +290,7 @@ def identify(
             'accepted: "whitened", which alone uses a prior; leave it out'
         )
     measurement, _ = required(specimen)
-    require_reachable_or_slip(specimen, seed)
+    require_reachable_or_slip(specimen)
     if residuals == "whitened":
         specimen = with_references(specimen)
     settings = settings or SwarmSettings()
@@ -320,7 +320,7 @@ def identify(
     unsure = [Notice("angles_disagree")] if angles is not None and angles.swarm.status == "budget" else []
     left = np.array([mode.frequency for mode in estimate.predicted]) / measurement.frequencies - 1.0
     excess = misfit_slips(misfit) or noise_slips(measurement, left, k)
-    excess, explained_by = with_slips(excess, specimen, estimate.rms, seed, watch.announce)
+    excess, explained_by = with_slips(excess, specimen, estimate.rms, watch.announce)
     # what has its reference in its prior is not compared with it
     determined = {
         c.name: (c.value, c.sd)

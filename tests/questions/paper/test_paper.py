@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import importlib.util
 import json
@@ -109,6 +110,8 @@ class Said:
     def announce(self, text: str) -> None:
         self.lines.append(text)
 
+    promise = announce
+
 
 def test_a_table_is_answered_from_what_comes_with_the_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -165,7 +168,8 @@ def test_the_command_writes_json_csv_page_and_figures(run: Run, tmp_path: Path) 
     assert (status, said) == (0, "")
     document = json.loads(shown)
     assert json.loads((tmp_path / "paper.json").read_text("utf-8"))["rows"] == document["rows"]
-    with (tmp_path / "comparison.csv").open(encoding="utf-8") as file:
+    assert (tmp_path / "comparison.csv").read_bytes().startswith(codecs.BOM_UTF8)
+    with (tmp_path / "comparison.csv").open(encoding="utf-8-sig") as file:
         lines = list(csv.DictReader(file))
     assert [line["quantity"] for line in lines] == [row["quantity"] for row in document["rows"]]
     assert lines[0].keys() >= ROW_KEYS

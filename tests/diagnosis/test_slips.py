@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import cpam_bayes as cb
-from cpam_bayes.identification.slips import Slip, corrected_file, explaining_slips
+from cpam_bayes.diagnosis.slips import Slip, corrected_file, explaining_slips
 from tests.batches.plates import N_MODES, plate
 
 NOISE = 0.001
@@ -75,7 +75,7 @@ def listed(n: int = 10, sensor: Any = None, **plate: Any) -> Any:
 
 
 def found(file: dict[str, Any]) -> list[tuple[str, int]]:
-    return [(slip.kind, slip.number) for slip in explaining_slips(cb.read_plate(file), 0)]
+    return [(slip.kind, slip.number) for slip in explaining_slips(cb.read_plate(file))]
 
 
 def test_sides_exchanged_are_named_and_written_anew(tmp_path: Path) -> None:
@@ -91,7 +91,7 @@ def test_sides_exchanged_are_named_and_written_anew(tmp_path: Path) -> None:
     assert "length_mm = 310.0   # x\nwidth_mm = 228.0\n" in corrected.read_text(encoding="utf-8")
     again = cb.read_plate(corrected)
     assert (again.plate.length, again.plate.width) == (0.31, 0.228)
-    assert explaining_slips(again, 0) == ()
+    assert explaining_slips(again) == ()
 
 
 @pytest.mark.parametrize(
@@ -152,7 +152,7 @@ def test_a_mass_left_on_the_plate_is_no_slip_of_its_file(sensor: dict[str, float
 def test_a_plate_that_was_clamped_or_free_against_its_file_has_its_edges_named(
     true: str, said: str, kind: str
 ) -> None:
-    slips = explaining_slips(cb.read_plate(stated(listed(edges=true), edges=said)), 0)
+    slips = explaining_slips(cb.read_plate(stated(listed(edges=true), edges=said)))
     assert [(slip.kind, slip.edits) for slip in slips] == [(kind, {("plate", "edges"): true})]
 
 
@@ -162,7 +162,7 @@ def test_a_sensor_tells_the_clamped_edge_from_the_one_opposite() -> None:
     clamped = {**held, "plate": {**held["plate"], "edges": "FFCF"}}
     listed = cb.forward(clamped, N_MODES).frequencies.tolist()
     file = {**held, "measurement": {"frequencies_hz": listed, "relative_std": NOISE}}
-    assert [slip.corrected.plate.edges for slip in explaining_slips(cb.read_plate(file), 0)] == ["FFCF"]
+    assert [slip.corrected.plate.edges for slip in explaining_slips(cb.read_plate(file))] == ["FFCF"]
 
 
 @pytest.mark.slow
