@@ -32,6 +32,8 @@ OVERLOOKED = 0.3
 _EQUAL: Final = 1e-11
 # Log Bayes factors, nats, that are smaller say nothing: evidences are known to about as much.
 _INDISTINGUISHABLE_NATS: Final = 0.1
+# Of every so many draws of the constants one is compared.
+_BETWEEN: Final = 4
 # A direction in which sums over the outer and the inner plies are sorted; any that is no special one.
 _DIRECTION: Final = np.array([1.0, np.sqrt(2.0), np.sqrt(3.0), np.sqrt(5.0)])
 
@@ -315,7 +317,7 @@ def merge_indistinguishable(
 
 def _log_bayes_factors(answer: StackingPosterior, i: int, others: Array) -> Array:
     """Log Bayes factors of others (m, k) against the listed class ``i`` from draws of its constants, (m,)."""
-    x = answer.components.conditionals.draws[i]
+    x = answer.components.conditionals.draws[i, ::_BETWEEN]
     angles = answer.grid_deg[np.vstack((answer.components.sequences[i], others))]
     rows = np.repeat(np.arange(len(angles)), len(x))
     log_p = (

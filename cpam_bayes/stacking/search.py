@@ -1,8 +1,9 @@
 """How the posterior over stacking sequences is found: exhaustively, or by a surrogate in rounds.
 
-Few sequences are all computed: screened on a small basis first, and those near the best again, on a basis
-that is made for them, from their optimum and from those of their neighbours, as the first optimisation may
-have met the lesser of two optima.
+Few sequences are all looked at. Most are given up on a small basis as soon as they promise to stay far below
+the best; the others are screened, and those near the best computed on a basis that is made for them, from
+their optimum and from those of their neighbours, as the first optimisation may have met the lesser of two
+optima.
 
 For many, the surrogate of the log evidence says which can matter. These are listed and evaluated, the rest is
 summed (`stacking.listing`). The evidence of draws from the result is refined: it says how far the evidence of
@@ -27,7 +28,9 @@ from cpam_bayes.stacking.evaluation import (
     NEAR,
     Evaluated,
     about,
+    angle_functions,
     evaluate,
+    in_sight,
     merged,
     neighbours,
     roughly,
@@ -52,7 +55,7 @@ from cpam_bayes.stacking.listing import (
 )
 from cpam_bayes.stacking.records import CREDIBLE, OVERLOOKED, StackingPosterior, StackingProblem
 from cpam_bayes.stacking.surrogate import piecewise_linear_surrogate
-from cpam_bayes.stacking.symmetry import PlySums, Symmetry, all_sequences, canonical, classes
+from cpam_bayes.stacking.symmetry import PlySums, Symmetry, all_sequences, canonical, classes, members
 from cpam_bayes.stacking.training import TrainedSurrogate, TrainingProblem, retrain, train, train_further
 
 Array = NDArray[Any]
@@ -73,23 +76,23 @@ _MAX_EVALUATED = 3_000_000
 def exhaustive(
     problem: StackingProblem, rng: np.random.Generator, notify: Callable[[str], None]
 ) -> StackingPosterior:
-    """The posterior with every evidence computed."""
+    """The posterior with the evidence of every sequence in sight of the best computed."""
     g, k = len(problem.grid_deg), problem.n_unknown
-    every = all_sequences(g, k)
-    distinct = classes(every, problem.symmetries)
-    n, size = len(distinct.size), distinct.size
+    distinct = classes(all_sequences(g, k), problem.symmetries)
+    n = len(distinct.size)
     notify(f"evidence of {n} sequences")
     data, focused = _evaluated(problem, distinct.representative, rng)
+    size = canonical(data.sequences, problem.symmetries).size
     best = float(data.log_evidence.max())
     total = float(np.log(np.sum(size * np.exp(data.log_evidence - best)))) + best
     single = np.exp(data.log_evidence - total)
-    p = single[distinct.label]
     order = np.argsort(-data.log_evidence, kind="stable")
     cumulative = np.cumsum(np.repeat(single[order], size[order]))
-    drawn = rng.choice(n, size=problem.settings.draws, p=single * size / np.sum(single * size))
+    drawn = rng.choice(len(size), size=problem.settings.draws, p=single * size / np.sum(single * size))
     top = order[: problem.settings.listed]
     none = distinct.representative[:0]
-    log_single = np.log(np.where(single > 0, single, 1.0))
+    every = np.concatenate([members(sequence, problem.symmetries) for sequence in data.sequences])
+    p = np.repeat(single, size)
     return StackingPosterior(
         specimen=problem.specimen,
         conditional=problem.conditional,
@@ -98,7 +101,7 @@ def exhaustive(
         enumerated=g**k,
         classes=n,
         log_evidence_total=total - float(np.log(g**k)),
-        top=problem.grid_deg[distinct.representative[top]],
+        top=problem.grid_deg[data.sequences[top]],
         same_bending=(none,) * len(top),
         alike=(none,) * len(top),
         multiplicity=size[top],
@@ -108,8 +111,8 @@ def exhaustive(
         components=data[top],
         marginals=np.stack([np.bincount(every[:, j], p, minlength=g) for j in range(k)]),
         credible_count=int(np.searchsorted(cumulative, CREDIBLE) + 1),
-        effective_count=float(np.exp(-np.sum(size * single * log_single))),
-        unaccounted=0.0,
+        effective_count=float(np.exp(-np.sum(size * single * np.log(single)))),
+        unaccounted=float((g**k - size.sum()) * np.exp(best - NEAR - total)),
         drawn=problem.random_members(data[drawn], rng),
         draw_weight=np.full(len(drawn), 1.0 / len(drawn)),
         check=None,
@@ -121,27 +124,28 @@ def exhaustive(
 def _evaluated(
     problem: StackingProblem, sequences: Array, rng: np.random.Generator
 ) -> tuple[Evaluated, ConditionalPosterior]:
-    """The evidence of sequences (m, k), in their order, and the posterior on the basis that it is from."""
-    settings, grid, executor, library = problem.settings, problem.grid_deg, problem.executor, problem.library
+    """The evidence of those of the sequences (m, k) that are in sight of the best, and on which basis."""
+    settings, grid, executor = problem.settings, problem.grid_deg, problem.executor
+    rows, optima = in_sight(
+        problem.conditional, grid, sequences, problem.starts, problem.library, rng, executor
+    )
+    sequences = sequences[rows]
     rough = roughly(problem.conditional, rng)
-    screened = evaluate(rough, grid, sequences, problem.starts, _SCREENING_POINTS, executor, library)
-    high = screened.log_evidence > screened.log_evidence.max() - NEAR
-    features = _angle_functions(grid[sequences])[high]
-    optima = screened.fits.x[high]
-    n_features = features.shape[1]
-    around = neighbours(features, optima, np.ones(n_features), np.ones((1, n_features)))
-    starts = np.concatenate((optima[:, None, :], around.starts(features, optima)[:, 1:]), axis=1)
+    screened = evaluate(
+        rough, grid, sequences, _starts_near(grid, sequences, optima), _SCREENING_POINTS, executor
+    )
+    screened = screened[screened.log_evidence > screened.log_evidence.max() - NEAR]
+    starts = _starts_near(grid, screened.sequences, screened.fits.x)
     focused = about(problem.conditional, grid, screened, rng)
-    refined = evaluate(focused, grid, sequences[high], starts, settings.log2_points, executor, library)
-    both = merged(refined, with_optima(screened[~high], refined.fits.weight.shape[1]))
-    order = np.argsort(np.concatenate((np.flatnonzero(high), np.flatnonzero(~high))), kind="stable")
-    return both[order], focused
+    refined = evaluate(focused, grid, screened.sequences, starts, settings.log2_points, executor)
+    return refined, focused
 
 
-def _angle_functions(angles_deg: Array) -> Array:
-    """cos and sin of twice and four times every angle (m, k), (m, 4 k): near ones are of near sequences."""
-    t = np.deg2rad(angles_deg)
-    return np.concatenate([f(n * t) / n for n in (2, 4) for f in (np.cos, np.sin)], axis=1)
+def _starts_near(grid_deg: Array, sequences: Array, optima: Array) -> Array:
+    """Two starts of sequences (m, k): their optima (m, n), and that of a near one that is unlike, (m, 2, n)."""
+    features = angle_functions(grid_deg[sequences])
+    n = features.shape[1]
+    return neighbours(features, optima, np.ones(n), np.ones((1, n))).starts(features, optima)
 
 
 def by_surrogate(
