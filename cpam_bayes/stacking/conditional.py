@@ -442,8 +442,10 @@ def _importance(
     x = conditional.axes.to_x(found.points)
     mean = np.einsum("mp,mpj->mj", found.weight, x)
     sd = np.sqrt(np.einsum("mp,mpj->mj", found.weight, (x - mean[:, None, :]) ** 2))
-    # systematic resampling over the points as the Sobol sequence has them, which is as good as at random
-    places = (np.arange(_KEPT) + 0.5) / _KEPT
+    # systematic resampling over the points as the Sobol sequence has them, which is as good as at random; all
+    # sequences have the same points: each begins elsewhere, so that together they do not err alike
+    begin = (angles_deg @ np.sqrt(np.arange(2.0, 2.0 + angles_deg.shape[1]))) % 1.0
+    places = (np.arange(_KEPT) + begin[:, None, None]) / _KEPT
     kept = np.sum(np.cumsum(found.weight, axis=1)[:, :, None] < places, axis=1)
     draws = x[np.arange(len(x))[:, None], np.minimum(kept, x.shape[1] - 1)]
     return Conditionals(

@@ -49,11 +49,13 @@ class RoundSettings:
     added_from_list : listed sequences that join the training set in a further round.
     unlisted : fraction of the mass that may be known from the surrogate alone where the list can be long
         enough.
+    worth_listing : fraction of the mass that the longest list must hold; where it does not, it is short.
     fine_from : that fraction from which on the surrogate is trained to a finer error.
     margin : fraction of what may be left out that the lower bound is chosen for, as a pilot enumeration is
         rough.
     many : sequences above which a short list is tried first.
-    trial_fitted, trial_listed, trial_draws : sequences fitted, most probable, and drawn in that trial.
+    short : sequences fitted of a short list.
+    trial_listed, trial_draws : most probable sequences, and those drawn in that trial.
     """
 
     least_rounds: int = 2
@@ -62,11 +64,12 @@ class RoundSettings:
     settled_errors: float = 1.5
     astray_nats: float = 0.5
     added_from_list: int = 400
-    unlisted: float = 3e-3
+    unlisted: float = 0.02
+    worth_listing: float = 0.5
     fine_from: float = 0.05
     margin: float = 0.5
     many: int = 10_000_000
-    trial_fitted: int = 500
+    short: int = 500
     trial_listed: int = 50
     trial_draws: int = 150
 

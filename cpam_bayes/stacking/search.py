@@ -54,7 +54,7 @@ from cpam_bayes.stacking.listing import (
     surrogate_values,
 )
 from cpam_bayes.stacking.records import CREDIBLE, OVERLOOKED, StackingPosterior, StackingProblem
-from cpam_bayes.stacking.surrogate import piecewise_linear_surrogate
+from cpam_bayes.stacking.surrogate import Surrogate, piecewise_linear_surrogate
 from cpam_bayes.stacking.symmetry import PlySums, Symmetry, all_sequences, canonical, classes, members
 from cpam_bayes.stacking.training import TrainedSurrogate, TrainingProblem, retrain, train, train_further
 
@@ -64,13 +64,16 @@ Array = NDArray[Any]
 _SCREENING_POINTS = 5
 # Pieces that the prefixes are enumerated in.
 _PIECES = 64
-# Depth of the lower bound below the best to begin with, the most that it grows by while too much is left out,
-# and the depth from which on it grows no more, nats.
-_DEPTH, _DEEPER, _MAX_DEPTH = 17.0, 5.0, 35.0
+# Depth of the lower bound below the best to begin with, at least and at most, the most that it grows by while
+# too much is left out, and the depth from which on it grows no more, nats.
+_LEAST_DEPTH, _DEPTH, _DEEPER, _MAX_DEPTH = 6, 17, 5.0, 35.0
+# Evenly drawn sequences that say how deep it must be.
+_EVENLY_DRAWN = 8000
 # Prefixes of the pilot enumeration, which predicts what a lower bound leaves out and how long a list gets.
 _PILOT_PREFIXES = 512
-# Number of sequences up to which the surrogate is evaluated for each.
-_MAX_EVALUATED = 3_000_000
+# Number of sequences up to which the surrogate is evaluated for each, and up to which its piecewise linear
+# form is; of more, some stand for all.
+_MAX_EVALUATED, _MAX_SUMMED = 3_000_000, 100_000_000
 
 
 def exhaustive(
@@ -80,7 +83,7 @@ def exhaustive(
     g, k = len(problem.grid_deg), problem.n_unknown
     distinct = classes(all_sequences(g, k), problem.symmetries)
     n = len(distinct.size)
-    notify(f"evidence of {n} sequences")
+    notify(f"{n} sequences are looked at")
     data, focused = _evaluated(problem, distinct.representative, rng)
     size = canonical(data.sequences, problem.symmetries).size
     best = float(data.log_evidence.max())
@@ -142,7 +145,7 @@ def _evaluated(
 
 
 def _starts_near(grid_deg: Array, sequences: Array, optima: Array) -> Array:
-    """Two starts of sequences (m, k): their optima (m, n), and that of a near one that is unlike, (m, 2, n)."""
+    """Two starts of sequences (m, k), their optima (m, n) and an unlike one of a neighbour, (m, 2, n)."""
     features = angle_functions(grid_deg[sequences])
     n = features.shape[1]
     return neighbours(features, optima, np.ones(n), np.ones((1, n))).starts(features, optima)
@@ -265,7 +268,7 @@ def _trial(problem: StackingProblem) -> StackingProblem:
     settings = problem.settings
     few = replace(
         settings,
-        max_fitted=min(settings.rounds.trial_fitted, settings.max_fitted),
+        max_fitted=min(settings.rounds.short, settings.max_fitted),
         listed=min(settings.rounds.trial_listed, settings.listed),
         draws=min(settings.rounds.trial_draws, settings.draws),
     )
@@ -295,11 +298,15 @@ class PilotEnumeration:
 
     def _listed_bins(self, problem: StackingProblem) -> int:
         """Number of bins of the log evidence that are listed: nearly all the mass, not too many sequences."""
+        settings, rules = problem.settings, problem.settings.rounds
         rest = 1.0 - np.cumsum(self.sums.weight) / self.sums.weight.sum()
         images = 1 if self.enumeration.negation is None else 2
         number = np.cumsum(self.sums.count) / self.fraction / images
-        enough = int(np.argmax(rest <= problem.settings.rounds.unlisted))
-        return min(enough + 1, int(np.searchsorted(number, problem.settings.max_fitted, side="right")))
+        enough = int(np.argmax(rest <= rules.unlisted)) + 1
+        most = int(np.searchsorted(number, settings.max_fitted, side="right"))
+        if enough > most and (not most or rest[most - 1] > 1.0 - rules.worth_listing):
+            most = int(np.searchsorted(number, max(rules.short, 2 * settings.listed), side="right"))
+        return min(enough, most)
 
 
 def training_problem(problem: StackingProblem, sums: PlySums) -> TrainingProblem:
@@ -364,7 +371,8 @@ def _pilot(
         enumeration = Enumeration(None, sums, surrogate.top, negation, np.inf, every)
         return PilotEnumeration(enumeration, _enumerated(enumeration, executor), 1.0)
     slack = float(np.clip(surrogate.largest_error, 0.2, 3.0))
-    depth = _DEPTH
+    share = max(1, round(problem.n_sequences / _MAX_SUMMED))
+    depth = _first_depth(sums, surrogate, margin * settings.unaccounted, executor, rng)
     while True:
         table = piecewise_linear_surrogate(
             surrogate.tangent,
@@ -376,7 +384,7 @@ def _pilot(
             surrogate.freedom,
             executor,
         )
-        enumeration = Enumeration(table, sums, surrogate.top, negation, np.inf)
+        enumeration = Enumeration(table, sums, surrogate.top, negation, np.inf, share=share)
         visited = prefixes_to_visit(enumeration)
         pilot = np.sort(rng.choice(visited, size=min(_PILOT_PREFIXES, len(visited)), replace=False))
         partial = _enumerated(enumeration, executor, prefixes=pilot)
@@ -387,6 +395,17 @@ def _pilot(
         del table, enumeration  # the next one takes as much memory
         depth += float(np.clip(np.log(left_out / max(allowed, 1e-300)), 1.0, _DEEPER))
         notify(f"the piecewise-linear surrogate reaches {depth:.0f} nats below the best")
+
+
+def _first_depth(
+    sums: PlySums, surrogate: Surrogate, allowed: float, executor: Executor | None, rng: np.random.Generator
+) -> float:
+    """How far below the best the rest holds no more than is allowed, by evenly drawn sequences, nats."""
+    drawn = rng.integers(len(sums.grid_deg), size=(_EVENLY_DRAWN, sums.n_unknown))
+    below = surrogate.top - surrogate_values(surrogate, executor, sums.features(drawn))
+    depth = np.arange(_LEAST_DEPTH, _DEPTH)
+    left = np.array([np.mean(below > d) for d in depth]) * np.exp(-depth)
+    return float(_LEAST_DEPTH + np.count_nonzero(left > allowed * np.exp(-below).mean()))
 
 
 def _every_value(problem: StackingProblem, sums: PlySums, trained: TrainedSurrogate) -> Array:
