@@ -460,7 +460,10 @@ def _scores(result: SampledResult) -> list[tuple[str, str]]:
 def _evidence(result: SampledResult) -> str:
     e = result.evidence
     value = f"log evidence {e.log_evidence:.3f} +- {e.standard_error:.3f}"
-    sizes = f"{e.effective_size:.0f} effective of {e.n_draws} draws, k-hat {e.k_hat:.2f}"
+    sizes = (
+        f"{e.effective_size:.0f} effective of {e.n_draws} draws, k-hat {e.k_hat:.2f}; weighed on the whole "
+    )
+    sizes += f"basis, {100.0 * e.exact_fraction:.4g} % of those of the chains are effective"
     return f"{value}, importance sampling ({sizes}){'' if e.status == 'reliable' else ': NOT reliable'}"
 
 
@@ -488,10 +491,8 @@ def _document(result: SampledResult, modes: Rows) -> dict[str, Any]:
         "leave_one_out": _leave_one_out(result),
         "log_evidence": result.evidence.log_evidence,
         "evidence": {
-            "standard_error": result.evidence.standard_error,
-            "effective_size": result.evidence.effective_size,
-            "k_hat": result.evidence.k_hat,
-            "status": result.evidence.status,
+            key: getattr(result.evidence, key)
+            for key in ("standard_error", "effective_size", "k_hat", "status", "exact_fraction")
         },
         "identifiability": {"combinations": _combinations(result), "profiles": _profiles(result)},
         "power_scaling": {
