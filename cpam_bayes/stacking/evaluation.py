@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from cpam_bayes.forward_model.model import training_sets
 from cpam_bayes.forward_model.reduced import focused
 from cpam_bayes.parallel import run
+from cpam_bayes.plate import split_name
 from cpam_bayes.stacking.conditional import (
     ConditionalFits,
     ConditionalPosterior,
@@ -96,7 +97,7 @@ def _scanned(
     at = conditional.at(np.repeat(angles_deg, p, axis=0))
     found = at.predict(np.tile(library, (m, 1)))[:, : len(measured)].reshape(m, p, -1)
     ratio = np.log(measured / found)
-    moduli = np.array([name[0] in "EG" for name in parameters.names])
+    moduli = np.array([split_name(name)[1][0] in "EG" for name in parameters.names])
     # the factors that keep every stiffness within its bounds
     low = np.where(moduli, parameters.lower / library, 0.0).max(axis=1)
     high = np.where(moduli, parameters.upper / library, np.inf).min(axis=1)

@@ -40,7 +40,7 @@ Array = NDArray[Any]
 INNER = 3
 # How far the best of a prefix may be above the best of those looked at, one in so many, in distances of that
 # from the one with this number for its rank.
-_UNSEEN = 1.5
+_UNSEEN = 1.0
 # Width of a bin of log evidence, nats, and number of bins.
 BIN, BINS = 0.01, 4000
 # Log evidence above the reference at which the bins begin, nats.

@@ -84,8 +84,8 @@ def stacking_posterior(
     progress : is called with the pieces of the enumeration that are done, and with all.
 
     The result does not depend on the executor. Raises ``ValueError`` if the specimen has no unknown angle,
-    no measured frequencies or no unknown constants, or an unsymmetric layup with too many unknown angles
-    for every sequence to be computed.
+    no measured frequencies or no unknown constants, or a layup that is unsymmetric or of several kinds of
+    plies with too many unknown angles for every sequence to be computed.
     """
     start = time.perf_counter()
     problem = stacking_problem(specimen, seed, settings=settings, executor=executor, notify=notify)
@@ -115,7 +115,7 @@ def stacking_problem(
         raise ValueError(f'{specimen.source}: layup {layup.text} has no unknown angle; write "?" for one')
     grid = angle_grid(specimen.angle_grid_deg)
     few = settings.enumerates(len(grid) ** layup.n_unknown)
-    sums = None if few and not layup.is_symmetric else ply_sums(layup, grid)
+    sums = None if few and (layup.kinds or not layup.is_symmetric) else ply_sums(layup, grid)
     n_modes = measurement.size + (0 if measurement.complete else _SPARE_MODES)
     parameters = angle_parameters(specimen).union(unknowns)
     model = reduced_model(specimen, parameters, n_modes, notify=notify)

@@ -223,7 +223,7 @@ class StackingPosterior:
 class StackingProblem:
     """The stacking sequences of one specimen: their posteriors, symmetries and grid.
 
-    sums : over the plies; ``None`` where the layup is not symmetric.
+    sums : over the plies; ``None`` where the layup is not symmetric or of several kinds of plies.
     starts : (2, n) parameters that every optimisation starts from.
     library : (p, n_constants) constants whose best two for a sequence are further starts.
     """
