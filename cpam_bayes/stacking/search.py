@@ -188,9 +188,9 @@ def _rounds(
     while True:
         if pilot is None:
             pilot = _pilot(problem, sums, trained, rng, notify, margin)
-        if current is problem and not fine and pilot.unlisted(problem) > rules.fine_from:
+        if not fine and pilot.unlisted(problem) > rules.fine_from:
             notify("too many sequences count to be fitted one by one: training the surrogate further")
-            fine, pilot = True, None
+            fine, pilot, current = True, None, problem  # a trial takes as long as the answer
             trained = train_further(trained, training, problem.settings.training.fine_rms, rng, notify)
             continue
         enumeration = pilot.listing(current)
