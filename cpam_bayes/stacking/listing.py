@@ -45,8 +45,8 @@ _UNSEEN = 1.0
 BIN, BINS = 0.01, 4000
 # Log evidence above the reference at which the bins begin, nats.
 BINS_BEGIN = 5.0
-# Fraction of the mass that the largest number of classes to sample must hold; where it holds less, a quarter
-# of them shows what sampling changes.
+# Fraction of the mass that the classes to sample must hold; where they hold less, twice as many as are listed
+# show what sampling changes.
 _MIN_SAMPLED_FRACTION = 0.5
 # Nats, and root mean square errors of the surrogate, below it from which on an evidence may be that of a
 # lesser optimum.
@@ -375,8 +375,8 @@ def _number_to_sample(
     mass = np.cumsum(count[order] * np.exp(fits.log_evidence[order] - top))
     needed = int(np.searchsorted(mass, settings.sampled_fraction * mass[-1])) + 1
     most, total = settings.max_sampled, mass[-1] + unlisted * np.exp(reference - top)
-    if needed > most and mass[most - 1] < _MIN_SAMPLED_FRACTION * total:
-        most = most // 4
+    if mass[min(needed, most) - 1] < _MIN_SAMPLED_FRACTION * total:
+        most = 2 * settings.listed
     return min(max(needed, settings.listed), most)
 
 
