@@ -196,6 +196,7 @@ class Evidence(TypedDict):
     effective_size: Annotated[Number, Field(description="draws")]
     k_hat: KHat
     status: Literal["reliable", "unreliable"]
+    exact_fraction: Annotated[Number, Field(description="effective share of draws on the whole basis")]
 
 
 class Combination(TypedDict):

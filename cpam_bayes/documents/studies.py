@@ -11,6 +11,7 @@ from cpam_bayes.answer import Verdict
 from cpam_bayes.diagnosis.hypotheses import Kind
 from cpam_bayes.diagnosis.slips import SlipKind
 from cpam_bayes.documents.constants import Convergence
+from cpam_bayes.documents.diagnosis import Size
 from cpam_bayes.documents.parts import (
     Answer,
     Bound,
@@ -365,7 +366,9 @@ class SimulationError(TypedDict):
     printed_rms_percent: Percent
     plain_rms_percent: Percent
     claim: Kind
+    sentence: Annotated[str, Field(description="the claim in words")]
     causes: Texts
+    sizes: Annotated[dict[str, Size], Field(description="of what is claimed, by name")]
     probability: Probability
     extended_rms_percent: Percent
     log_bayes_factor: Nats

@@ -30,7 +30,7 @@ from cpam_bayes.forward_model.model import (
     plate_problem,
     reference_constants,
 )
-from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.forward_model.reduced import ReducedModel, focused
 from cpam_bayes.mechanics.modes import Mode
 from cpam_bayes.mechanics.problem import PlateState
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Uniform
@@ -508,6 +508,19 @@ def tolerant(
     )
     changed = np.array([found.of_sizes[name] for name in open_to])
     return TolerantModel(model, tolerances, changed, by_rank=not isinstance(model, LabelledModel))
+
+
+def narrowed(model: ForwardModel, x: Array, tolerance: float) -> ForwardModel:
+    """A model on a basis that is made for parameter vectors x (m, n), to a relative error of a frequency.
+
+    Itself where it has no basis, or one to which modes were labelled.
+    """
+    if isinstance(model, TolerantModel):
+        within = x[:, : model.model.parameters.size]
+        return replace(model, model=narrowed(model.model, within, tolerance))
+    if isinstance(model, ReducedModel) and tolerance > model.tolerance:
+        return focused(model, x, tolerance)
+    return model
 
 
 def _known_to(name: str, value: float, sd: float) -> Parameter:

@@ -112,7 +112,6 @@ def require_diagnosable(specimen: Specimen) -> Specimen:
 def require_sequence(specimen: Specimen) -> Specimen:
     """Return the specimen, or raise `PlateFileError` if its sequence cannot be asked for."""
     problems = _not_computed(specimen, rectangular_only("sequence"))
-    problems += _named_plies(specimen)
     if not specimen.plate.layup.n_unknown:
         problems.append(
             f'plate.layup: received {specimen.plate.layup.text}, none of its angles is "?"; write "?" for '
@@ -140,13 +139,13 @@ def _not_computed(specimen: Specimen, no_mesh: str | None, no_air: str | None = 
 
 
 def _named_plies(specimen: Specimen) -> list[str]:
-    """Why plies of several materials or thicknesses cannot be asked about, if there are some."""
+    """Why what is wrong with plies of several materials or thicknesses cannot be asked, if there are some."""
     layup = specimen.plate.layup
     if not layup.kinds:
         return []
     return [
-        f"plate.layup: received {layup.text} with tables [[ply]], accepted: equal plies of one material; "
-        "`forward`, `identify` and `export` take plies of several"
+        f"plate.layup: received {layup.text} with tables [[ply]], accepted: equal plies of one material, of "
+        "which the errors of plies and of the theory are known; `identify` and `sequence` take several"
     ]
 
 

@@ -75,6 +75,7 @@ def maximise(
     *,
     most_steps: int = 60,
     promised: float = _PROMISE,
+    hopeless: Callable[[Expansion], Array] | None = None,
 ) -> Maxima:
     """Local maxima next to a stack of starts (m, n), all optimised at once (Levenberg-Marquardt).
 
@@ -85,6 +86,7 @@ def maximise(
     each may have a density of its own.
     lower, upper : (n,).
     promised : gain in nats below which an optimisation ends.
+    hopeless : expansion at k points -> (k,) bool, which optimisations are given up there.
     """
     u = np.clip(np.array(start, dtype=float), lower, upper)
     m = len(u)
@@ -97,6 +99,9 @@ def maximise(
     steps = 1
     while live.any() and steps < most_steps:
         rows = every[live]
+        if hopeless is not None:
+            live[rows] = ~hopeless(Expansion(value[rows], gradient[rows], curvature[rows]))
+            rows = every[live]
         step, promise = _step(u[rows], gradient[rows], curvature[rows], damping[rows], lower, upper)
         idle = promise < promised
         converged[rows[idle]], live[rows[idle]] = True, False

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes import __version__
 from cpam_bayes.fingerprint import fingerprint
+from cpam_bayes.forward_model.known_errors import narrowed
 from cpam_bayes.inference.derivatives import NormalScores
 from cpam_bayes.inference.ensemble import (
     DEFAULT_SETTINGS,
@@ -37,6 +38,11 @@ Array = NDArray[Any]
 
 # Of the proposal that chains jump to: it need not be as good as that of an evidence.
 JUMPS = AdaptationSettings()
+# The basis about a posterior: draws that it is made from, its largest error, the share of the noise that it
+# is at most, and the share of the draws whose noise may be less than the one that counts.
+_NARROWED_SETS, _NARROWED_ERROR, _NARROWED_SHARE, _LEAST_NOISE = 400, 2e-3, 0.05, 0.01
+# Draws of the chains that are weighed on the whole basis.
+_REWEIGHTED = 1000
 
 
 @single_blas_thread
@@ -55,7 +61,7 @@ def sample_posterior(
     cannot be used.
     """
     bests, values, _ = swarm_on_posterior(posterior, seed, swarm_settings or SwarmSettings())
-    return sample_from(posterior, bests, values, seed, settings=settings, store=store, progress=progress)
+    return sample_from(posterior, bests, values, seed, settings=settings, store=store, progress=progress)[0]
 
 
 def sample_from(
@@ -67,8 +73,10 @@ def sample_from(
     settings: EnsembleSettings = DEFAULT_SETTINGS,
     store: Path | None = None,
     progress: Callable[[Diagnostics], None] = lambda diagnostics: None,
-) -> EnsembleResult:
-    """Chains of a posterior by emcee, started from the personal bests of a swarm.
+) -> tuple[EnsembleResult, Posterior]:
+    """Chains of a posterior by emcee, started from the personal bests of a swarm, and their density.
+
+    That is the posterior on a basis that is made for where it is (``reweighted``).
 
     bests : (m, n_plate) parameters of the plate, without the noise.
     values : (m,) their misfits.
@@ -81,7 +89,20 @@ def sample_from(
     start = walkers.reshape(settings.ensembles, settings.walkers, -1)
     best = walkers[np.argmax(posterior.log_prob(walkers))]
     proposal = adapted(posterior, best[None], seed, JUMPS)
-    return sample(posterior, start, seed, settings, proposal=proposal, store=store, progress=progress)
+    fast = _narrowed(posterior, proposal.draw(_NARROWED_SETS, rng))
+    return sample(fast, start, seed, settings, proposal=proposal, store=store, progress=progress), fast
+
+
+def _narrowed(posterior: Posterior, x: Array) -> Posterior:
+    """A posterior on a basis for where draws x (m, n) of it are, good to a small part of the noise there."""
+    x = x[np.isfinite(posterior.log_prior(x))]
+    f = posterior.predict(x)
+    i = np.arange(min(posterior.measurement.size, f.shape[1]))
+    noise = (posterior.noise(x, f)[:, i, i] / f[:, i]).min(axis=1)
+    tolerance = min(_NARROWED_ERROR, _NARROWED_SHARE * float(np.quantile(noise, _LEAST_NOISE)))
+    return replace(
+        posterior, model=narrowed(posterior.model, x[:, : posterior.model.parameters.size], tolerance)
+    )
 
 
 def swarm_on_posterior(posterior: Posterior, seed: int, settings: SwarmSettings) -> tuple[Array, Array, int]:
@@ -136,6 +157,7 @@ class Evidence:
     mean, sd : (n,) of the parameters.
     draws : (n_draws, n).
     log_weights : (n_draws,), their normalised weights.
+    exact_fraction : effective fraction of draws of chains on a narrow basis, weighed on the whole one.
 
     The prior is the product of the parameters' densities, zero where the constraints (9) are broken; it
     is not normalised again for these.
@@ -152,6 +174,21 @@ class Evidence:
     sd: Array
     draws: Array
     log_weights: Array
+    exact_fraction: float = 1.0
+
+
+def reweighted(
+    evidence: Evidence, posterior: Posterior, fast: Posterior, chains: EnsembleResult, seed: int
+) -> Evidence:
+    """The evidence on the whole basis: that on a narrow one, and log E[p / p_fast] over draws of chains."""
+    rows = np.random.default_rng([seed, 6]).integers(len(chains.draws), size=_REWEIGHTED)
+    x = chains.draws[rows]
+    moments = weighted(x[None], (posterior.log_likelihood(x) - fast.log_likelihood(x))[None])
+    return replace(
+        evidence,
+        log_evidence=evidence.log_evidence + float(moments.log_evidence[0]),
+        exact_fraction=float(moments.effective_size[0]) / len(x),
+    )
 
 
 def evidence_of(

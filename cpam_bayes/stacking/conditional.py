@@ -37,13 +37,15 @@ _NEGLIGIBLE_NATS = 12.0
 CURVATURE_FLOOR = 1e-3
 # Optimisations end where a step promises less than this, nats, or after so many steps.
 _PROMISED, _MOST_STEPS = 1e-4, 30
+# What is left to gain, over what a quadratic promises, of an optimisation that may be given up.
+_UNFORESEEN = 1.5
 # Numbers in the matrices of sequences that are solved for together: they stay in the processor's cache.
 _CACHED = 1 << 19
 # Degrees of freedom and widening of the proposals of importance sampling. Light tails scatter less with few
 # points; the mean of 512 weights is too small with them where a constant is left open.
 _LIGHT, _HEAVY = (6.0, 1.1), (3.0, 1.3)
 # Draws of the constants that are kept of each sequence.
-_KEPT = 8
+_KEPT = 32
 # Points of importance sampling that are solved for together.
 _POINTS = 2048
 # Fractions of the points that each proposal gets where it is refitted.
@@ -193,7 +195,11 @@ def joined(pieces: list[Stack]) -> Stack:
 
 @single_blas_thread
 def fit_conditionals(
-    conditional: ConditionalPosterior, angles_deg: Array, starts: Array, promised: float = _PROMISED
+    conditional: ConditionalPosterior,
+    angles_deg: Array,
+    starts: Array,
+    promised: float = _PROMISED,
+    floor: float = -np.inf,
 ) -> ConditionalFits:
     """Laplace's evidence of sequences (m, n_angles), each optimised from every one of its starts.
 
@@ -202,20 +208,21 @@ def fit_conditionals(
 
     starts : (s, n) for all sequences, or (m, s, n), parameters.
     promised : gain in nats below which one ends.
+    floor : log evidence, optimisations that will not reach it are given up; what they found lies below it.
     """
     starts = np.broadcast_to(starts, (len(angles_deg), *starts.shape[-2:]))
     largest = max(block.size for block in conditional.model.fast.operator.blocks)
     each = int(np.clip(_CACHED // largest**2, 64, 512))
     return joined(
         [
-            _fit(conditional, angles_deg[i : i + each], starts[i : i + each], promised)
+            _fit(conditional, angles_deg[i : i + each], starts[i : i + each], promised, floor)
             for i in range(0, len(angles_deg), each)
         ]
     )
 
 
 def _fit(
-    conditional: ConditionalPosterior, angles_deg: Array, starts: Array, promised: float
+    conditional: ConditionalPosterior, angles_deg: Array, starts: Array, promised: float, floor: float
 ) -> ConditionalFits:
     m, s, n = starts.shape
     axes = conditional.axes
@@ -232,13 +239,13 @@ def _fit(
         axes.upper,
         most_steps=_MOST_STEPS,
         promised=promised,
+        hopeless=None if np.isinf(floor) else partial(_stays_below, floor),
     )
     e = maxima.expansion
     value = np.where(np.isfinite(e.value), e.value, -1e300).reshape(m, s)
     z = maxima.u.reshape(m, s, n)
     curvature = e.curvature.reshape(m, s, n, n)
-    log_det = np.linalg.slogdet(curvature + CURVATURE_FLOOR * np.eye(n))[1]
-    log_z = value + 0.5 * n * np.log(2 * np.pi) - 0.5 * log_det
+    log_z = value + _log_volume(curvature)
     log_z[~_distinct(z, value, curvature)] = -np.inf
     total = logsumexp(log_z, axis=1)
     x = axes.to_x(z[np.arange(m), value.argmax(axis=1)])
@@ -246,6 +253,20 @@ def _fit(
     measured = conditional.template.measurement.frequencies
     residual = measured / at.predict(x)[:, : len(measured)] - 1.0
     return ConditionalFits(total, x, residual, z, np.exp(log_z - total[:, None]), curvature)
+
+
+def _log_volume(curvature: Array) -> Array:
+    """Log integral of Gaussians with negative Hessians (..., n, n) and the height one, (...)."""
+    n = curvature.shape[-1]
+    log_det = np.linalg.slogdet(curvature + CURVATURE_FLOOR * np.eye(n))[1]
+    return np.asarray(0.5 * n * np.log(2 * np.pi) - 0.5 * log_det)
+
+
+def _stays_below(floor: float, e: Expansion) -> Array:
+    """Whether Laplace's log evidence at the optimum stays below a floor, by far more than is promised."""
+    matrix = e.curvature + CURVATURE_FLOOR * np.eye(e.gradient.shape[1])
+    promised = 0.5 * np.sum(e.gradient * np.linalg.solve(matrix, e.gradient[..., None])[..., 0], axis=1)
+    return np.asarray(e.value + _UNFORESEEN * promised + _log_volume(e.curvature) < floor)
 
 
 def _expand(
@@ -310,7 +331,7 @@ class Conditionals:
     log_evidence : (m,).
     error, effective_size, k_hat : (m,) as in ``Weighted``.
     mean, sd : (m, n) of the parameters.
-    draws : (m, 8, n), equally probable.
+    draws : (m, 32, n), equally probable.
     """
 
     log_evidence: Array
@@ -421,8 +442,10 @@ def _importance(
     x = conditional.axes.to_x(found.points)
     mean = np.einsum("mp,mpj->mj", found.weight, x)
     sd = np.sqrt(np.einsum("mp,mpj->mj", found.weight, (x - mean[:, None, :]) ** 2))
-    # systematic resampling over the points as the Sobol sequence has them, which is as good as at random
-    places = (np.arange(_KEPT) + 0.5) / _KEPT
+    # systematic resampling over the points as the Sobol sequence has them, which is as good as at random; all
+    # sequences have the same points: each begins elsewhere, so that together they do not err alike
+    begin = (angles_deg @ np.sqrt(np.arange(2.0, 2.0 + angles_deg.shape[1]))) % 1.0
+    places = (np.arange(_KEPT) + begin[:, None, None]) / _KEPT
     kept = np.sum(np.cumsum(found.weight, axis=1)[:, :, None] < places, axis=1)
     draws = x[np.arange(len(x))[:, None], np.minimum(kept, x.shape[1] - 1)]
     return Conditionals(

@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from cpam_bayes.forward_model.model import training_sets
 from cpam_bayes.forward_model.reduced import focused
 from cpam_bayes.parallel import run
+from cpam_bayes.plate import split_name
 from cpam_bayes.stacking.conditional import (
     ConditionalFits,
     ConditionalPosterior,
@@ -48,6 +49,9 @@ NEAR, _NEAR_SETS, _NEAR_ERROR = 18.0, 800, 2e-3
 _MOST, _NOISY = 0.98, 8e-3
 # Both errors are at most these shares of the noise, as far as it is known.
 _BOX_SHARE, _NEAR_SHARE = 0.3, 0.05
+# The same of the basis of the sieve; sequences that a worker sieves at a time, and those located without a
+# floor, the best by the misfit of their first start.
+_SIEVE_SHARE, _SIEVED, _PILOT = 2.5, 64, 32
 # The basis for one sequence and all constants: sets, the least and the largest relative error, and the share
 # of the noise that it is between them.
 _SEQUENCE_SETS, _SEQUENCE_ERRORS, _SEQUENCE_SHARE = 600, (2e-5, 2e-4), 0.02
@@ -62,8 +66,12 @@ def scan_library(conditional: ConditionalPosterior, size: int, rng: np.random.Ge
     return np.asarray(drawn[np.isfinite(conditional.template.log_prior(drawn))][:size, :n])
 
 
-def scanned_starts(conditional: ConditionalPosterior, angles_deg: Array, library: Array, n: int) -> Array:
+def scanned_starts(
+    conditional: ConditionalPosterior, angles_deg: Array, library: Array, n: int
+) -> tuple[Array, Array]:
     """The n members of a library that suit the list best with each sequence (m, k), (m, n, n_parameters).
+
+    Second, the misfits of their frequencies, root mean squares of logarithms, (m, n).
 
     Stiffnesses that are all multiplied by a^2 multiply all frequencies by a: each member counts with the
     factor that suits the list best, as far as the bounds allow. Where modes cross, optima are many, and
@@ -76,30 +84,34 @@ def scanned_starts(conditional: ConditionalPosterior, angles_deg: Array, library
     parts = [
         _scanned(conditional, angles_deg[i : i + each], library, n) for i in range(0, len(angles_deg), each)
     ]
-    return np.concatenate(parts)
+    starts, misfit = zip(*parts, strict=True)
+    return np.concatenate(starts), np.concatenate(misfit)
 
 
-def _scanned(conditional: ConditionalPosterior, angles_deg: Array, library: Array, n: int) -> Array:
+def _scanned(
+    conditional: ConditionalPosterior, angles_deg: Array, library: Array, n: int
+) -> tuple[Array, Array]:
     m, p = len(angles_deg), len(library)
     parameters = conditional.template.model.parameters
     measured = conditional.template.measurement.frequencies
     at = conditional.at(np.repeat(angles_deg, p, axis=0))
     found = at.predict(np.tile(library, (m, 1)))[:, : len(measured)].reshape(m, p, -1)
     ratio = np.log(measured / found)
-    moduli = np.array([name[0] in "EG" for name in parameters.names])
+    moduli = np.array([split_name(name)[1][0] in "EG" for name in parameters.names])
     # the factors that keep every stiffness within its bounds
     low = np.where(moduli, parameters.lower / library, 0.0).max(axis=1)
     high = np.where(moduli, parameters.upper / library, np.inf).min(axis=1)
     factor = np.clip(np.exp(2.0 * ratio.mean(axis=2)), low, high)
     misfit = np.sqrt(np.mean((ratio - 0.5 * np.log(factor)[..., None]) ** 2, axis=2))
     best = np.argsort(misfit, axis=1, kind="stable")[:, :n]
-    scale = np.take_along_axis(factor, best, axis=1)[..., None]
+    scale, misfit = (np.take_along_axis(a, best, axis=1) for a in (factor, misfit))
+    scale = scale[..., None]
     starts = np.where(moduli, scale * library[best], library[best])
     if conditional.template.noise_is_inferred:
         prior = conditional.parameters.parameters[-1].prior
-        amplitude = np.clip(np.take_along_axis(misfit, best, axis=1), 2.0 * prior.lower, 0.5 * prior.upper)
+        amplitude = np.clip(misfit, 2.0 * prior.lower, 0.5 * prior.upper)
         starts = np.concatenate((starts, amplitude[..., None]), axis=2)
-    return np.asarray(starts)
+    return np.asarray(starts), misfit
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +163,7 @@ def _evaluate_batch(
 ) -> tuple[ConditionalFits, Conditionals]:
     angles, starts, library, scanned, log2_points = item
     if library is not None:
-        starts = np.concatenate((starts, scanned_starts(conditional, angles, library, scanned)), axis=1)
+        starts = np.concatenate((starts, scanned_starts(conditional, angles, library, scanned)[0]), axis=1)
     fits = fit_conditionals(conditional, angles, starts)
     return fits, importance_evidence(conditional, angles, fits, log2_points)
 
@@ -265,16 +277,89 @@ def neighbours(features: Array, x: Array, lengths: Array, images: Array) -> Neig
     return Neighbours(cKDTree(points), lengths, np.tile(np.arange(len(features)), len(images)), x)
 
 
+def in_sight(
+    conditional: ConditionalPosterior,
+    grid_deg: Array,
+    sequences: Array,
+    starts: Array,
+    library: Array,
+    rng: np.random.Generator,
+    executor: Executor | None,
+) -> tuple[Array, Array]:
+    """The sequences (m, k) that may be within ``NEAR`` of the best, their rows, and their optima, (r, n).
+
+    Optimisations on a basis that is good to a few times the noise, from the common ``starts`` (s, n) and from
+    the library, are given up as soon as they promise to end out of sight. What was given up is sought once
+    more from the optimum of the nearest sequence in sight.
+    """
+    error = min(_BOX_ERROR, _SIEVE_SHARE * _known_noise(conditional))
+    box = training_sets(conditional.model.full.operator.problem, _BOX_SETS, rng)
+    basis = replace(conditional, model=focused(conditional.model, box, error, _MOST))
+    angles = grid_deg[sequences]
+    parts = range(0, len(angles), _SIEVED)
+    scans = run(_scan_batch, basis, [(angles[i : i + _SIEVED], library) for i in parts], executor)
+    scanned, misfit = (np.concatenate(found) for found in zip(*scans, strict=True))
+    starts = np.concatenate((np.broadcast_to(starts, (len(angles), *starts.shape)), scanned), axis=1)
+    order = np.argsort(misfit[:, 0], kind="stable")
+    found = Located(np.full(len(angles), -np.inf), starts[:, 0].copy())
+
+    def locate_all(rows: Array, starts: Array, floor: float) -> None:
+        pieces = [rows[i : i + _SIEVED] for i in range(0, len(rows), _SIEVED)]
+        items = [(angles[piece], starts[piece], floor) for piece in pieces]
+        fits = run(_sieve_batch, basis, items, executor, batch_size=1, is_limited=True)
+        for piece, fit in zip(pieces, fits, strict=True):
+            better = fit.log_evidence > found.log_evidence[piece]
+            found.log_evidence[piece[better]], found.x[piece[better]] = (
+                fit.log_evidence[better],
+                fit.x[better],
+            )
+
+    locate_all(order[:_PILOT], starts, -np.inf)
+    best = int(found.log_evidence.argmax())
+    # misfits, in standard deviations, that the error of the basis may add
+    more = np.sqrt(conditional.template.measurement.size) * error / basis.least_noise(found.x[best, None])
+    floor = float(found.log_evidence[best] - 0.5 * (np.sqrt(2.0 * NEAR) + more) ** 2)
+    locate_all(order[_PILOT:], starts, floor)
+    high, low = np.flatnonzero(found.log_evidence >= floor), np.flatnonzero(found.log_evidence < floor)
+    features = angle_functions(angles)
+    n = features.shape[1]
+    near = neighbours(features[high], found.x[high], np.ones(n), np.ones((1, n))).nearest(features)
+    locate_all(low, near[:, None], floor)
+    rows = np.flatnonzero(found.log_evidence >= floor)
+    return rows, found.x[rows]
+
+
+def _scan_batch(basis: ConditionalPosterior, item: tuple[Array, Array]) -> tuple[Array, Array]:
+    return scanned_starts(basis, *item, _SCANNED)
+
+
+def _sieve_batch(basis: ConditionalPosterior, item: tuple[Array, Array, float]) -> Located:
+    angles, starts, floor = item
+    fits = fit_conditionals(basis, angles, starts, _NEARLY, floor)
+    return Located(fits.log_evidence, fits.x)
+
+
+def angle_functions(angles_deg: Array) -> Array:
+    """cos and sin of twice and four times every angle (m, k), (m, 4 k): near ones are of near sequences."""
+    t = np.deg2rad(angles_deg)
+    return np.concatenate([f(n * t) / n for n in (2, 4) for f in (np.cos, np.sin)], axis=1)
+
+
 def roughly(conditional: ConditionalPosterior, rng: np.random.Generator) -> ConditionalPosterior:
     """The posterior on a small basis for the whole box, which says where the mass is."""
     box = training_sets(conditional.model.full.operator.problem, _BOX_SETS, rng)
-    noise = np.inf
-    if not conditional.template.noise_is_inferred:
-        middle = 0.5 * (conditional.parameters.lower + conditional.parameters.upper)
-        noise = conditional.least_noise(middle[None])
+    noise = _known_noise(conditional)
     return replace(
         conditional, model=focused(conditional.model, box, min(_BOX_ERROR, _BOX_SHARE * noise), _share(noise))
     )
+
+
+def _known_noise(conditional: ConditionalPosterior) -> float:
+    """Least relative standard deviation of a frequency in the middle of the bounds, infinite if inferred."""
+    if conditional.template.noise_is_inferred:
+        return float("inf")
+    middle = 0.5 * (conditional.parameters.lower + conditional.parameters.upper)
+    return conditional.least_noise(middle[None])
 
 
 def about(

@@ -38,12 +38,15 @@ Array = NDArray[Any]
 
 # Unknown angles behind a prefix, whose choices are taken together.
 INNER = 3
+# How far the best of a prefix may be above the best of those looked at, one in so many, in distances of that
+# from the one with this number for its rank.
+_UNSEEN = 1.0
 # Width of a bin of log evidence, nats, and number of bins.
 BIN, BINS = 0.01, 4000
 # Log evidence above the reference at which the bins begin, nats.
 BINS_BEGIN = 5.0
-# Fraction of the mass that the largest number of classes to sample must hold; where it holds less, a quarter
-# of them shows what sampling changes.
+# Fraction of the mass that the classes to sample must hold; where they hold less, twice as many as are listed
+# show what sampling changes.
 _MIN_SAMPLED_FRACTION = 0.5
 # Nats, and root mean square errors of the surrogate, below it from which on an evidence may be that of a
 # lesser optimum.
@@ -71,6 +74,7 @@ class Enumeration:
     negation : (n_grid,) grid index of minus each angle where sequences and their mirror images are equally
     probable, else ``None``.
     threshold : sequences with this log evidence or more are listed one by one, the others are summed.
+    share : of every so many choices of the last plies one is looked at, where none is near the threshold.
     """
 
     table: PiecewiseLinearSurrogate | None
@@ -79,6 +83,7 @@ class Enumeration:
     negation: Array | None
     threshold: float
     every: Array | None = None
+    share: int = 1
 
     @property
     def n_inner(self) -> int:
@@ -136,7 +141,10 @@ def prefixes_to_visit(enumeration: Enumeration) -> Array:
 
 
 def enumerate_prefixes(enumeration: Enumeration, prefixes: Array) -> PartialSums:
-    """All sequences that begin with some prefixes (p,)."""
+    """All sequences that begin with some prefixes (p,), or a share of each that stands for all.
+
+    Where one of the share is near the threshold, all of the prefix are looked at.
+    """
     g, n_inner, k = len(enumeration.sums.grid_deg), enumeration.n_inner, enumeration.sums.n_unknown
     times = np.ones(len(prefixes), dtype=np.int64)
     if enumeration.negation is not None and enumeration.n_prefixes > 1:
@@ -147,22 +155,23 @@ def enumerate_prefixes(enumeration: Enumeration, prefixes: Array) -> PartialSums
     listed: list[Array] = [np.empty((0, k), dtype=np.int16)]
     values: list[Array] = [np.empty(0)]
     times_listed: list[Array] = [np.empty(0, dtype=np.int64)]
-    for p, (digits, rows, log_evidence) in enumerate(_values(enumeration, prefixes)):
-        kept += int(times[p]) * len(rows)
+    for p, (digits, rows, log_evidence, share) in enumerate(_looked_at(enumeration, prefixes)):
+        kept += int(times[p]) * share * len(rows)
         high = log_evidence >= enumeration.threshold
-        if high.any():
+        if share == 1 and high.any():
             listed.append(_sequences(g, n_inner, digits, rows[high]).astype(np.int16))
             values.append(log_evidence[high])
             times_listed.append(np.full(len(values[-1]), times[p]))
             rows, log_evidence = rows[~high], log_evidence[~high]
         relative = log_evidence - enumeration.reference
         w = np.exp(relative)
-        mass[p] = times[p] * w.sum()
-        inner[rows] += times[p] * w
-        entropy += float(times[p] * (w @ relative))
+        number = int(times[p]) * share
+        mass[p] = number * w.sum()
+        inner[rows] += number * w
+        entropy += float(number * (w @ relative))
         bins = np.clip(((BINS_BEGIN - relative) / BIN).astype(np.int64), 0, BINS - 1)
-        count += times[p] * np.bincount(bins, minlength=BINS)
-        weight += times[p] * np.bincount(bins, w, minlength=BINS)
+        count += number * np.bincount(bins, minlength=BINS)
+        weight += number * np.bincount(bins, w, minlength=BINS)
     marginal = inner.reshape((g,) * n_inner)
     by_ply = np.stack([marginal.sum(axis=tuple(i for i in range(n_inner) if i != j)) for j in range(n_inner)])
     return PartialSums(
@@ -176,7 +185,7 @@ def enumerate_prefixes(enumeration: Enumeration, prefixes: Array) -> PartialSums
         log_evidence=np.concatenate(values),
         times=np.concatenate(times_listed),
         kept=kept,
-        left_out=int(times.sum()) * g**n_inner - kept,
+        left_out=max(int(times.sum()) * g**n_inner - kept, 0),
     )
 
 
@@ -201,8 +210,30 @@ def values_of_prefix(enumeration: Enumeration, prefix: int) -> tuple[Array, Arra
     return sequences, log_evidence[low]
 
 
-def _values(enumeration: Enumeration, prefixes: Array) -> Iterator[tuple[Array, Array, Array]]:
-    """Grid indices of each prefix, the inner choices inside cells (m,) and their log evidence (m,)."""
+Values = tuple[Array, Array, Array]
+"""Grid indices of a prefix, the inner choices inside cells (m,) and their log evidence (m,)."""
+
+
+def _looked_at(enumeration: Enumeration, prefixes: Array) -> Iterator[tuple[*Values, int]]:
+    """The values of each prefix, and how many choices each of them stands for."""
+    share, threshold = enumeration.share, enumeration.threshold
+    for prefix, values in zip(prefixes, _values(enumeration, prefixes, share), strict=True):
+        if share > 1 and np.isfinite(threshold) and _may_reach(values[2], share) >= threshold:
+            yield *next(_values(enumeration, prefix[None])), 1
+        else:
+            yield *values, share
+
+
+def _may_reach(log_evidence: Array, share: int) -> float:
+    """The most that any of a prefix may have, of which these (m,) are one in ``share``."""
+    if len(log_evidence) <= share:
+        return float("inf") if len(log_evidence) else -float("inf")
+    first = np.partition(log_evidence, -share)[-share:]
+    return float(first.max() + _UNSEEN * (first.max() - first.min()))
+
+
+def _values(enumeration: Enumeration, prefixes: Array, share: int = 1) -> Iterator[Values]:
+    """The values of each prefix; of every ``share`` inner choices one, others for each prefix."""
     table, n_outer = enumeration.table, enumeration.sums.n_unknown - enumeration.n_inner
     digits = _prefix_digits(enumeration, prefixes)
     if table is None:
@@ -212,14 +243,22 @@ def _values(enumeration: Enumeration, prefixes: Array) -> Iterator[tuple[Array, 
         return
     both = enumeration.sums.both
     total = all_choices(both[n_outer:]).astype(np.float32)
-    v, sums = np.ascontiguousarray(total[:, :4].T), np.column_stack((np.ones_like(total[:, 0]), total))
+    mixed = np.random.default_rng(0).permutation(len(total)) if share > 1 else np.arange(len(total))
+    parts = []
+    for i in range(share):
+        choices = np.sort(mixed[i::share])
+        of_part = total[choices]
+        sums = np.column_stack((np.ones_like(of_part[:, 0]), of_part))
+        parts.append((choices, np.ascontiguousarray(of_part[:, :4].T), sums))
     outer = np.zeros((len(digits), 1 + both.shape[2]))
     for j in range(n_outer):
         outer[:, 1:] += both[j][digits[:, j]]
-    for p in range(len(prefixes)):
+    for p, prefix in enumerate(prefixes):
+        choices, v, sums = parts[prefix % share]
         leaf = table.rows(v, outer[p, 1:5])
-        rows = np.flatnonzero(leaf >= 0)
-        yield digits[p], rows, table.values(leaf[rows], sums[rows] + outer[p].astype(np.float32))
+        inside = np.flatnonzero(leaf >= 0)
+        value = table.values(leaf[inside], sums[inside] + outer[p].astype(np.float32))
+        yield digits[p], choices[inside], value
 
 
 def _prefix_digits(enumeration: Enumeration, prefixes: Array) -> Array:
@@ -336,8 +375,8 @@ def _number_to_sample(
     mass = np.cumsum(count[order] * np.exp(fits.log_evidence[order] - top))
     needed = int(np.searchsorted(mass, settings.sampled_fraction * mass[-1])) + 1
     most, total = settings.max_sampled, mass[-1] + unlisted * np.exp(reference - top)
-    if needed > most and mass[most - 1] < _MIN_SAMPLED_FRACTION * total:
-        most = most // 4
+    if mass[min(needed, most) - 1] < _MIN_SAMPLED_FRACTION * total:
+        most = 2 * settings.listed
     return min(max(needed, settings.listed), most)
 
 

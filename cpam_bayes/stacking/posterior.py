@@ -2,8 +2,9 @@
 
 Each stacking sequence is a component and has its evidence. Where there are few, every evidence is computed;
 where there are many, a surrogate of it is trained first, and it is computed where the probability is. Of the
-constants, the most probable classes are sampled by emcee, each started from a swarm; the others keep the
-draws of their importance sampling. Each class has the weight of its probability.
+constants, the most probable class is sampled by emcee, started from a swarm, and so is each that has much of
+the probability; this checks the importance sampling, whose draws the others keep. Each class has the weight
+of its probability.
 """
 
 from __future__ import annotations
@@ -83,8 +84,8 @@ def stacking_posterior(
     progress : is called with the pieces of the enumeration that are done, and with all.
 
     The result does not depend on the executor. Raises ``ValueError`` if the specimen has no unknown angle,
-    no measured frequencies or no unknown constants, or an unsymmetric layup with too many unknown angles
-    for every sequence to be computed.
+    no measured frequencies or no unknown constants, or a layup that is unsymmetric or of several kinds of
+    plies with too many unknown angles for every sequence to be computed.
     """
     start = time.perf_counter()
     problem = stacking_problem(specimen, seed, settings=settings, executor=executor, notify=notify)
@@ -114,7 +115,7 @@ def stacking_problem(
         raise ValueError(f'{specimen.source}: layup {layup.text} has no unknown angle; write "?" for one')
     grid = angle_grid(specimen.angle_grid_deg)
     few = settings.enumerates(len(grid) ** layup.n_unknown)
-    sums = None if few and not layup.is_symmetric else ply_sums(layup, grid)
+    sums = None if few and (layup.kinds or not layup.is_symmetric) else ply_sums(layup, grid)
     n_modes = measurement.size + (0 if measurement.complete else _SPARE_MODES)
     parameters = angle_parameters(specimen).union(unknowns)
     model = reduced_model(specimen, parameters, n_modes, notify=notify)
@@ -173,15 +174,13 @@ def common_starts(specimen: Specimen, conditional: ConditionalPosterior) -> Arra
 class MixtureSettings:
     """How the mixture is sampled.
 
-    fraction : of the probability, whose classes are sampled by emcee.
-    max_classes : sampled by emcee.
+    least : probability of a class from which on it is sampled by emcee; the most probable one always is.
     ensembles, swarm, proposal : of each class.
     points : of the importance sampling that each is compared with.
     draws : of the whole mixture.
     """
 
-    fraction: float = 0.99
-    max_classes: int = 20
+    least: float = 0.1
     ensembles: EnsembleSettings = field(
         default_factory=lambda: EnsembleSettings(
             walkers=32, round_steps=60, r_hat=1.02, effective=400.0, most_steps=3000, lengths=8.0, jumps=0.8
@@ -318,9 +317,9 @@ class StackingMixture:
 
 
 def n_sampled_classes(answer: StackingPosterior, settings: MixtureSettings = MIXTURE_SETTINGS) -> int:
-    """Number of the most probable classes that emcee samples."""
-    cumulative = np.cumsum(answer.probability * answer.multiplicity)
-    return min(int(np.searchsorted(cumulative, settings.fraction)) + 1, settings.max_classes, len(cumulative))
+    """Number of the first classes that emcee samples."""
+    enough = answer.probability * answer.multiplicity >= settings.least
+    return max(int(np.cumprod(enough).sum()), 1)
 
 
 @single_blas_thread

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from cpam_bayes.identification.point import bound_of
+from cpam_bayes.plate.laminate import equal_plies
 from cpam_bayes.plate.layup import Layup
 from cpam_bayes.running import single_blas_thread
 from cpam_bayes.stacking.conditional import ConditionalFits, fit_conditionals, importance_evidence
@@ -48,12 +49,12 @@ def entropies(marginals: Array) -> Array:
 
 
 def bending_fractions(layup: Layup) -> Array:
-    """Fraction of each unknown angle's plies in the second moment of the thickness, plies being equal, (k,).
+    """Fraction of each unknown angle's plies in the second moment of the thickness, (k,).
 
     A ply from z_i to z_(i+1) has (z_(i+1)^3 - z_i^3) / 3 of h^3 / 12, its weight in D.
     """
-    z = np.linspace(-1.0, 1.0, layup.n_plies + 1)
-    fraction = np.diff(z**3) / 2.0
+    plies = layup.plies or equal_plies(layup.n_plies)
+    fraction = np.diff((2.0 * plies.interfaces) ** 3) / 2.0
     return np.array([fraction[layup.unknown_index == k].sum() for k in range(layup.n_unknown)])
 
 

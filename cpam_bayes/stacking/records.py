@@ -32,6 +32,8 @@ OVERLOOKED = 0.3
 _EQUAL: Final = 1e-11
 # Log Bayes factors, nats, that are smaller say nothing: evidences are known to about as much.
 _INDISTINGUISHABLE_NATS: Final = 0.1
+# Of every so many draws of the constants one is compared.
+_BETWEEN: Final = 4
 # A direction in which sums over the outer and the inner plies are sorted; any that is no special one.
 _DIRECTION: Final = np.array([1.0, np.sqrt(2.0), np.sqrt(3.0), np.sqrt(5.0)])
 
@@ -47,11 +49,13 @@ class RoundSettings:
     added_from_list : listed sequences that join the training set in a further round.
     unlisted : fraction of the mass that may be known from the surrogate alone where the list can be long
         enough.
+    worth_listing : fraction of the mass that the longest list must hold; where it does not, it is short.
     fine_from : that fraction from which on the surrogate is trained to a finer error.
     margin : fraction of what may be left out that the lower bound is chosen for, as a pilot enumeration is
         rough.
     many : sequences above which a short list is tried first.
-    trial_fitted, trial_listed, trial_draws : sequences fitted, most probable, and drawn in that trial.
+    short : sequences fitted of a short list.
+    trial_listed, trial_draws : most probable sequences, and those drawn in that trial.
     """
 
     least_rounds: int = 2
@@ -60,11 +64,12 @@ class RoundSettings:
     settled_errors: float = 1.5
     astray_nats: float = 0.5
     added_from_list: int = 400
-    unlisted: float = 3e-3
+    unlisted: float = 0.02
+    worth_listing: float = 0.5
     fine_from: float = 0.05
     margin: float = 0.5
     many: int = 10_000_000
-    trial_fitted: int = 500
+    short: int = 500
     trial_listed: int = 50
     trial_draws: int = 150
 
@@ -218,7 +223,7 @@ class StackingPosterior:
 class StackingProblem:
     """The stacking sequences of one specimen: their posteriors, symmetries and grid.
 
-    sums : over the plies; ``None`` where the layup is not symmetric.
+    sums : over the plies; ``None`` where the layup is not symmetric or of several kinds of plies.
     starts : (2, n) parameters that every optimisation starts from.
     library : (p, n_constants) constants whose best two for a sequence are further starts.
     """
@@ -315,7 +320,7 @@ def merge_indistinguishable(
 
 def _log_bayes_factors(answer: StackingPosterior, i: int, others: Array) -> Array:
     """Log Bayes factors of others (m, k) against the listed class ``i`` from draws of its constants, (m,)."""
-    x = answer.components.conditionals.draws[i]
+    x = answer.components.conditionals.draws[i, ::_BETWEEN]
     angles = answer.grid_deg[np.vstack((answer.components.sequences[i], others))]
     rows = np.repeat(np.arange(len(angles)), len(x))
     log_p = (

@@ -1,8 +1,9 @@
 """How the posterior over stacking sequences is found: exhaustively, or by a surrogate in rounds.
 
-Few sequences are all computed: screened on a small basis first, and those near the best again, on a basis
-that is made for them, from their optimum and from those of their neighbours, as the first optimisation may
-have met the lesser of two optima.
+Few sequences are all looked at. Most are given up on a small basis as soon as they promise to stay far below
+the best; the others are screened, and those near the best computed on a basis that is made for them, from
+their optimum and from those of their neighbours, as the first optimisation may have met the lesser of two
+optima.
 
 For many, the surrogate of the log evidence says which can matter. These are listed and evaluated, the rest is
 summed (`stacking.listing`). The evidence of draws from the result is refined: it says how far the evidence of
@@ -27,7 +28,9 @@ from cpam_bayes.stacking.evaluation import (
     NEAR,
     Evaluated,
     about,
+    angle_functions,
     evaluate,
+    in_sight,
     merged,
     neighbours,
     roughly,
@@ -51,8 +54,8 @@ from cpam_bayes.stacking.listing import (
     surrogate_values,
 )
 from cpam_bayes.stacking.records import CREDIBLE, OVERLOOKED, StackingPosterior, StackingProblem
-from cpam_bayes.stacking.surrogate import piecewise_linear_surrogate
-from cpam_bayes.stacking.symmetry import PlySums, Symmetry, all_sequences, canonical, classes
+from cpam_bayes.stacking.surrogate import Surrogate, piecewise_linear_surrogate
+from cpam_bayes.stacking.symmetry import PlySums, Symmetry, all_sequences, canonical, classes, members
 from cpam_bayes.stacking.training import TrainedSurrogate, TrainingProblem, retrain, train, train_further
 
 Array = NDArray[Any]
@@ -61,35 +64,38 @@ Array = NDArray[Any]
 _SCREENING_POINTS = 5
 # Pieces that the prefixes are enumerated in.
 _PIECES = 64
-# Depth of the lower bound below the best to begin with, the most that it grows by while too much is left out,
-# and the depth from which on it grows no more, nats.
-_DEPTH, _DEEPER, _MAX_DEPTH = 17.0, 5.0, 35.0
+# Depth of the lower bound below the best to begin with, at least and at most, the most that it grows by while
+# too much is left out, and the depth from which on it grows no more, nats.
+_LEAST_DEPTH, _DEPTH, _DEEPER, _MAX_DEPTH = 6, 17, 5.0, 35.0
+# Evenly drawn sequences that say how deep it must be.
+_EVENLY_DRAWN = 8000
 # Prefixes of the pilot enumeration, which predicts what a lower bound leaves out and how long a list gets.
 _PILOT_PREFIXES = 512
-# Number of sequences up to which the surrogate is evaluated for each.
-_MAX_EVALUATED = 3_000_000
+# Number of sequences up to which the surrogate is evaluated for each, and up to which its piecewise linear
+# form is; of more, some stand for all.
+_MAX_EVALUATED, _MAX_SUMMED = 3_000_000, 100_000_000
 
 
 def exhaustive(
     problem: StackingProblem, rng: np.random.Generator, notify: Callable[[str], None]
 ) -> StackingPosterior:
-    """The posterior with every evidence computed."""
+    """The posterior with the evidence of every sequence in sight of the best computed."""
     g, k = len(problem.grid_deg), problem.n_unknown
-    every = all_sequences(g, k)
-    distinct = classes(every, problem.symmetries)
-    n, size = len(distinct.size), distinct.size
-    notify(f"evidence of {n} sequences")
+    distinct = classes(all_sequences(g, k), problem.symmetries)
+    n = len(distinct.size)
+    notify(f"{n} sequences are looked at")
     data, focused = _evaluated(problem, distinct.representative, rng)
+    size = canonical(data.sequences, problem.symmetries).size
     best = float(data.log_evidence.max())
     total = float(np.log(np.sum(size * np.exp(data.log_evidence - best)))) + best
     single = np.exp(data.log_evidence - total)
-    p = single[distinct.label]
     order = np.argsort(-data.log_evidence, kind="stable")
     cumulative = np.cumsum(np.repeat(single[order], size[order]))
-    drawn = rng.choice(n, size=problem.settings.draws, p=single * size / np.sum(single * size))
+    drawn = rng.choice(len(size), size=problem.settings.draws, p=single * size / np.sum(single * size))
     top = order[: problem.settings.listed]
     none = distinct.representative[:0]
-    log_single = np.log(np.where(single > 0, single, 1.0))
+    every = np.concatenate([members(sequence, problem.symmetries) for sequence in data.sequences])
+    p = np.repeat(single, size)
     return StackingPosterior(
         specimen=problem.specimen,
         conditional=problem.conditional,
@@ -98,7 +104,7 @@ def exhaustive(
         enumerated=g**k,
         classes=n,
         log_evidence_total=total - float(np.log(g**k)),
-        top=problem.grid_deg[distinct.representative[top]],
+        top=problem.grid_deg[data.sequences[top]],
         same_bending=(none,) * len(top),
         alike=(none,) * len(top),
         multiplicity=size[top],
@@ -108,8 +114,8 @@ def exhaustive(
         components=data[top],
         marginals=np.stack([np.bincount(every[:, j], p, minlength=g) for j in range(k)]),
         credible_count=int(np.searchsorted(cumulative, CREDIBLE) + 1),
-        effective_count=float(np.exp(-np.sum(size * single * log_single))),
-        unaccounted=0.0,
+        effective_count=float(np.exp(-np.sum(size * single * np.log(single)))),
+        unaccounted=float((g**k - size.sum()) * np.exp(best - NEAR - total)),
         drawn=problem.random_members(data[drawn], rng),
         draw_weight=np.full(len(drawn), 1.0 / len(drawn)),
         check=None,
@@ -121,27 +127,28 @@ def exhaustive(
 def _evaluated(
     problem: StackingProblem, sequences: Array, rng: np.random.Generator
 ) -> tuple[Evaluated, ConditionalPosterior]:
-    """The evidence of sequences (m, k), in their order, and the posterior on the basis that it is from."""
-    settings, grid, executor, library = problem.settings, problem.grid_deg, problem.executor, problem.library
+    """The evidence of those of the sequences (m, k) that are in sight of the best, and on which basis."""
+    settings, grid, executor = problem.settings, problem.grid_deg, problem.executor
+    rows, optima = in_sight(
+        problem.conditional, grid, sequences, problem.starts, problem.library, rng, executor
+    )
+    sequences = sequences[rows]
     rough = roughly(problem.conditional, rng)
-    screened = evaluate(rough, grid, sequences, problem.starts, _SCREENING_POINTS, executor, library)
-    high = screened.log_evidence > screened.log_evidence.max() - NEAR
-    features = _angle_functions(grid[sequences])[high]
-    optima = screened.fits.x[high]
-    n_features = features.shape[1]
-    around = neighbours(features, optima, np.ones(n_features), np.ones((1, n_features)))
-    starts = np.concatenate((optima[:, None, :], around.starts(features, optima)[:, 1:]), axis=1)
+    screened = evaluate(
+        rough, grid, sequences, _starts_near(grid, sequences, optima), _SCREENING_POINTS, executor
+    )
+    screened = screened[screened.log_evidence > screened.log_evidence.max() - NEAR]
+    starts = _starts_near(grid, screened.sequences, screened.fits.x)
     focused = about(problem.conditional, grid, screened, rng)
-    refined = evaluate(focused, grid, sequences[high], starts, settings.log2_points, executor, library)
-    both = merged(refined, with_optima(screened[~high], refined.fits.weight.shape[1]))
-    order = np.argsort(np.concatenate((np.flatnonzero(high), np.flatnonzero(~high))), kind="stable")
-    return both[order], focused
+    refined = evaluate(focused, grid, screened.sequences, starts, settings.log2_points, executor)
+    return refined, focused
 
 
-def _angle_functions(angles_deg: Array) -> Array:
-    """cos and sin of twice and four times every angle (m, k), (m, 4 k): near ones are of near sequences."""
-    t = np.deg2rad(angles_deg)
-    return np.concatenate([f(n * t) / n for n in (2, 4) for f in (np.cos, np.sin)], axis=1)
+def _starts_near(grid_deg: Array, sequences: Array, optima: Array) -> Array:
+    """Two starts of sequences (m, k), their optima (m, n) and an unlike one of a neighbour, (m, 2, n)."""
+    features = angle_functions(grid_deg[sequences])
+    n = features.shape[1]
+    return neighbours(features, optima, np.ones(n), np.ones((1, n))).starts(features, optima)
 
 
 def by_surrogate(
@@ -181,9 +188,9 @@ def _rounds(
     while True:
         if pilot is None:
             pilot = _pilot(problem, sums, trained, rng, notify, margin)
-        if current is problem and not fine and pilot.unlisted(problem) > rules.fine_from:
+        if not fine and pilot.unlisted(problem) > rules.fine_from:
             notify("too many sequences count to be fitted one by one: training the surrogate further")
-            fine, pilot = True, None
+            fine, pilot, current = True, None, problem  # a trial takes as long as the answer
             trained = train_further(trained, training, problem.settings.training.fine_rms, rng, notify)
             continue
         enumeration = pilot.listing(current)
@@ -261,7 +268,7 @@ def _trial(problem: StackingProblem) -> StackingProblem:
     settings = problem.settings
     few = replace(
         settings,
-        max_fitted=min(settings.rounds.trial_fitted, settings.max_fitted),
+        max_fitted=min(settings.rounds.short, settings.max_fitted),
         listed=min(settings.rounds.trial_listed, settings.listed),
         draws=min(settings.rounds.trial_draws, settings.draws),
     )
@@ -291,11 +298,15 @@ class PilotEnumeration:
 
     def _listed_bins(self, problem: StackingProblem) -> int:
         """Number of bins of the log evidence that are listed: nearly all the mass, not too many sequences."""
+        settings, rules = problem.settings, problem.settings.rounds
         rest = 1.0 - np.cumsum(self.sums.weight) / self.sums.weight.sum()
         images = 1 if self.enumeration.negation is None else 2
         number = np.cumsum(self.sums.count) / self.fraction / images
-        enough = int(np.argmax(rest <= problem.settings.rounds.unlisted))
-        return min(enough + 1, int(np.searchsorted(number, problem.settings.max_fitted, side="right")))
+        enough = int(np.argmax(rest <= rules.unlisted)) + 1
+        most = int(np.searchsorted(number, settings.max_fitted, side="right"))
+        if enough > most and (not most or rest[most - 1] > 1.0 - rules.worth_listing):
+            most = int(np.searchsorted(number, max(rules.short, 2 * settings.listed), side="right"))
+        return min(enough, most)
 
 
 def training_problem(problem: StackingProblem, sums: PlySums) -> TrainingProblem:
@@ -360,7 +371,8 @@ def _pilot(
         enumeration = Enumeration(None, sums, surrogate.top, negation, np.inf, every)
         return PilotEnumeration(enumeration, _enumerated(enumeration, executor), 1.0)
     slack = float(np.clip(surrogate.largest_error, 0.2, 3.0))
-    depth = _DEPTH
+    share = max(1, round(problem.n_sequences / _MAX_SUMMED))
+    depth = _first_depth(sums, surrogate, margin * settings.unaccounted, executor, rng)
     while True:
         table = piecewise_linear_surrogate(
             surrogate.tangent,
@@ -372,7 +384,7 @@ def _pilot(
             surrogate.freedom,
             executor,
         )
-        enumeration = Enumeration(table, sums, surrogate.top, negation, np.inf)
+        enumeration = Enumeration(table, sums, surrogate.top, negation, np.inf, share=share)
         visited = prefixes_to_visit(enumeration)
         pilot = np.sort(rng.choice(visited, size=min(_PILOT_PREFIXES, len(visited)), replace=False))
         partial = _enumerated(enumeration, executor, prefixes=pilot)
@@ -383,6 +395,17 @@ def _pilot(
         del table, enumeration  # the next one takes as much memory
         depth += float(np.clip(np.log(left_out / max(allowed, 1e-300)), 1.0, _DEEPER))
         notify(f"the piecewise-linear surrogate reaches {depth:.0f} nats below the best")
+
+
+def _first_depth(
+    sums: PlySums, surrogate: Surrogate, allowed: float, executor: Executor | None, rng: np.random.Generator
+) -> float:
+    """How far below the best the rest holds no more than is allowed, by evenly drawn sequences, nats."""
+    drawn = rng.integers(len(sums.grid_deg), size=(_EVENLY_DRAWN, sums.n_unknown))
+    below = surrogate.top - surrogate_values(surrogate, executor, sums.features(drawn))
+    depth = np.arange(_LEAST_DEPTH, _DEPTH)
+    left = np.array([np.mean(below > d) for d in depth]) * np.exp(-depth)
+    return float(_LEAST_DEPTH + np.count_nonzero(left > allowed * np.exp(-below).mean()))
 
 
 def _every_value(problem: StackingProblem, sums: PlySums, trained: TrainedSurrogate) -> Array:

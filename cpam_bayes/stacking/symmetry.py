@@ -127,7 +127,8 @@ def plate_symmetries(specimen: Specimen) -> tuple[Symmetry, ...]:
     identity = _compiled("", layup, grid, ANGLE_MOTIONS[""], upside_down=False)
     assert identity is not None
     distinct: dict[Any, Symmetry] = {_content(identity): identity}
-    for upside_down in (False, True):
+    turned = (False, True) if layup.kinds == layup.kinds[::-1] else (False,)
+    for upside_down in turned:
         for kind in plane_motions(specimen):
             name = " ".join(filter(None, (kind, "upside down" if upside_down else "")))
             symmetry = _compiled(name, layup, grid, ANGLE_MOTIONS[kind], upside_down)
@@ -455,15 +456,15 @@ def all_choices(contributions: Array) -> Array:
 
 
 def ply_sums(layup: Layup, grid_deg: Array) -> PlySums:
-    """The sums of a symmetric layup with unknown angles on a grid, (n_grid,) degrees.
+    """The sums of a symmetric layup of equal plies with unknown angles on a grid, (n_grid,) degrees.
 
-    Raises ``ValueError`` for a layup that is not symmetric: there bending and stretching are coupled
-    and more sums count.
+    Raises ``ValueError`` for a layup that is not symmetric, where bending and stretching are coupled, or
+    of several kinds of plies: there more sums count.
     """
-    if not layup.is_symmetric:
+    if layup.kinds or not layup.is_symmetric:
         raise ValueError(
-            f"layup {layup.text}: {len(grid_deg)}^{layup.n_unknown} sequences need a symmetric layup; "
-            "end it with _s, give more of its angles, or take a coarser angle_grid_deg"
+            f"layup {layup.text}: {len(grid_deg)}^{layup.n_unknown} sequences need a symmetric layup of "
+            "equal plies; end it with _s, give more of its angles, or take a coarser angle_grid_deg"
         )
     z = np.linspace(-0.5, 0.5, layup.n_plies + 1)
     shear = z - 8 * z**3 / 3 + 16 * z**5 / 5  # integral of (1 - 4 z^2)^2

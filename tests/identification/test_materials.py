@@ -10,6 +10,7 @@ import pytest
 
 import cpam_bayes as cb
 from cpam_bayes.inference.swarm import material_swarm
+from cpam_bayes.stacking.symmetry import plate_symmetries
 from tests.hybrids import HYBRID, hybrid
 from tests.plate_file import described
 
@@ -84,6 +85,28 @@ def test_unknown_angles_of_a_hybrid_are_found(measured: dict[str, Any]) -> None:
     plate["unknowns"] = {**plate["unknowns"], "angle_grid_deg": 45.0}
     angles = cb.identify(plate, seed=0).angles
     assert tuple(np.abs(angles.angles_deg)) == (45.0, 45.0)
+
+
+@pytest.mark.slow
+def test_the_sequence_of_a_hybrid_is_found(measured: dict[str, Any]) -> None:
+    plate = {**measured, "plate": {**measured["plate"], "layup": "[c0_2/g?/g?/c90]_s"}}
+    plate["unknowns"] = {**plate["unknowns"], "angle_grid_deg": 45.0}
+    found = cb.sequence(plate, seed=0)
+    assert tuple(np.abs(found.answer.top[0])) == (45.0, 45.0)
+    assert found.answer.probability[0] * found.answer.multiplicity[0] > 0.99
+    assert "carbon.E1" in found.summary()
+    for name, value in TRUTH.items():
+        mean, sd = (found.to_dict()["constants"][f"{name}_GPa"][key] for key in ("mean", "sd"))
+        assert abs(mean - value) < 3.0 * sd
+
+
+def test_turned_upside_down_a_hybrid_is_another_plate_where_its_plies_differ() -> None:
+    def turns(layup: str, thickness_mm: float) -> bool:
+        plate = hybrid(layup=layup, thickness_mm=thickness_mm)
+        return any("upside down" in s.name for s in plate_symmetries(cb.read_plate(plate)))
+
+    assert turns("[c?/g0/c?]", 0.875)
+    assert not turns("[c?/c0/g?]", 0.875)
 
 
 def test_a_swarm_starts_within_the_constraints_of_each_material(measured: dict[str, Any]) -> None:

@@ -16,6 +16,7 @@ from cpam_bayes.inference.sampling import (
     EvidenceSettings,
     evidence_of,
     importance_evidence,
+    reweighted,
     sample_posterior,
 )
 from cpam_bayes.inference.swarm import SwarmSettings
@@ -163,6 +164,21 @@ def test_evidence_of_chains_is_the_closed_form_also_where_they_miss_an_optimum()
     for chain in (result.chain, right):
         found = evidence_of(own, replace(result, chain=chain), 0, settings=SETTINGS)
         agrees(found, expected, near=1e-3)
+
+
+def test_an_evidence_on_a_narrow_basis_is_that_on_the_whole_one_once_draws_are_reweighted() -> None:
+    whole, narrow = (
+        plate_posterior(LinearModel(), measurement(noise), np.zeros(4)) for noise in (0.02, 0.022)
+    )
+    ensembles = EnsembleSettings(walkers=16, round_steps=200, most_steps=400)
+    chains = sample_posterior(narrow, 0, settings=ensembles, swarm_settings=SwarmSettings(10, 20))
+    found, expected = sampled(narrow), sampled(whole)
+    assert abs(found.log_evidence - expected.log_evidence) > 0.1
+    weighed = reweighted(found, whole, narrow, chains, 0)
+    # of a thousand draws whose weights scatter by a few per cent
+    assert weighed.log_evidence == pytest.approx(expected.log_evidence, abs=0.02)
+    assert 0.8 < weighed.exact_fraction < 0.999
+    assert reweighted(found, narrow, narrow, chains, 0).exact_fraction == pytest.approx(1.0)
 
 
 def test_a_proposal_that_cannot_follow_is_not_called_reliable() -> None:

@@ -54,6 +54,7 @@ def test_the_document_is_json_with_what_is_promised(sampled: SampledResult) -> N
     promised = "constants frequencies forward_solves seconds diagnostics laminate leave_one_out evidence"
     more = "posterior_predictive_p_value log_evidence identifiability power_scaling bounds_moved"
     assert {*promised.split(), *more.split()} <= set(document)
+    assert 0.99 < document["evidence"]["exact_fraction"] <= 1.0 + 1e-9
     drawn = {drawing.name for drawing in sampled.drawings()}
     assert drawn == {"posterior", "marginals_and_profiles", "left_out", "modes", "plate"}
     assert {"mean", "sd", "q025", "q975", "prior_contraction", "verdict", "bound", "prior"} <= set(

@@ -51,7 +51,8 @@ def test_the_document_has_what_the_contract_names() -> None:
     assert document["sequences"][4]["sampled_by"] == "importance sampling"
     assert set(first["constants"]) == {"E1_GPa", "E2_GPa", "nu12", "G12_GPa"}
     assert document["credible_95_count"] == own.credible_count
-    assert document["unaccounted_probability"] == 0.0
+    # none of the sequences that were given up is within 18 nats of the best
+    assert document["unaccounted_probability"] < 36 * np.exp(-18.0)
     assert 0.0 < document["basis_error"] < 1e-3
     np.testing.assert_allclose(np.sum(document["angle_marginals"], axis=1), 1.0)
     assert document["outer_plies_better_determined"] is True

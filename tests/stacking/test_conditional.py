@@ -127,7 +127,7 @@ def test_a_basis_for_one_sequence_is_good_for_all_constants(noise: float, error:
 def test_moments_by_emcee_on_the_basis_of_a_sequence_are_those_on_the_whole_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    own, one = answer(), MixtureSettings(max_classes=1)
+    own, one = answer(), MixtureSettings(least=2.0)
     small = sample_mixture(own, 0, settings=one).components[0]
     monkeypatch.setattr(stacking_mixture, "of_sequence", lambda conditional, angles, noise: conditional)
     whole = sample_mixture(own, 0, settings=one).components[0]
@@ -149,13 +149,14 @@ def test_starts_are_within_the_bounds_and_ordered_by_misfit() -> None:
     own = answer().conditional
     assert library().shape == (40, own.template.model.parameters.size)
     assert np.all(np.isfinite(own.template.log_prior(library())))
-    starts = scanned_starts(own, ANGLES, library(), 5)
+    starts, misfits = scanned_starts(own, ANGLES, library(), 5)
     assert starts.shape == (2, 5, own.parameters.size)
     assert np.all((starts >= own.parameters.lower) & (starts <= own.parameters.upper))
     measured = own.template.measurement.frequencies
-    for angles, row in zip(ANGLES, starts, strict=True):
+    for angles, row, told in zip(ANGLES, starts, misfits, strict=True):
         found = own.at(np.repeat(angles[None], len(row), axis=0)).predict(row)[:, : len(measured)]
         misfit = np.sqrt(np.mean(np.log(measured / found) ** 2, axis=1))
+        np.testing.assert_allclose(misfit, told, rtol=1e-6)
         assert np.all(np.diff(misfit) >= -1e-12)
 
 
@@ -166,7 +167,7 @@ def test_a_member_counts_with_the_factor_on_its_stiffnesses_that_suits_the_list(
     angles = answer().top[:1]
     moduli = np.array([name[0] in "EG" for name in own.template.model.parameters.names])
     scaled = np.where(moduli, 0.9 * truth, truth)
-    start = scanned_starts(own, angles, scaled[None], 1)[0, 0, :n]
+    start = scanned_starts(own, angles, scaled[None], 1)[0][0, 0, :n]
     # all stiffnesses together set the level of all frequencies: the factor brings back the optimum,
     # whose own residuals have a mean of less than the noise of 1 %, 2 % of a stiffness
     np.testing.assert_allclose(start, truth, rtol=0.02)

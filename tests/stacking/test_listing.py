@@ -1,5 +1,6 @@
 """Every sequence on a grid, enumerated by a surrogate, against a loop over all; its regression."""
 
+from dataclasses import replace
 from functools import cache
 from itertools import product
 
@@ -168,6 +169,18 @@ def test_the_list_holds_all_above_the_threshold_and_the_sums_all_below(sums: Ply
     inside = own.table.lookup(sums.features(sequences)[:, :4]) >= 0
     assert piece.mass.sum() == pytest.approx(np.exp(value[inside & ~high]).sum(), rel=1e-5)
     assert piece.kept == inside.sum()
+
+
+def test_a_share_of_the_sequences_stands_for_all_but_those_that_are_listed(sums: PlySums) -> None:
+    threshold = -0.5
+    whole, own = (replace(enumerator(sums, -12.0, threshold=threshold), share=share) for share in (1, 3))
+    every, some = (enumerate_prefixes(of, prefixes_to_visit(of)) for of in (whole, own))
+    assert 0 < len(every.listed) < 400
+    np.testing.assert_array_equal(some.listed, every.listed)
+    # 9^4 sequences, of which a third is looked at: 2 % is four standard errors of that sum
+    assert some.mass.sum() == pytest.approx(every.mass.sum(), rel=0.02)
+    assert some.kept == pytest.approx(every.kept, rel=0.02)
+    np.testing.assert_allclose(some.inner / some.mass.sum(), every.inner / every.mass.sum(), atol=0.02)
 
 
 def test_values_on_cells_are_those_of_their_tangents(sums: PlySums) -> None:

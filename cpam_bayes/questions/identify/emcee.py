@@ -54,6 +54,7 @@ from cpam_bayes.inference.sampling import (
     described,
     evidence_of,
     hashed,
+    reweighted,
     sample_from,
 )
 from cpam_bayes.inference.swarm import SwarmSettings
@@ -318,19 +319,22 @@ def _sampled(
     posterior, model = begun.posterior, begun.model
     notify("starting the ensembles from the swarm")
     sampling = time.perf_counter()
-    result = sample_from(
+    result, fast = sample_from(
         posterior, begun.bests, begun.values, seed, settings=settings, store=store, progress=progress
     )
     sampling = time.perf_counter() - sampling
     notify("assessing the posterior")
-    evidence = evidence_of(posterior, result, seed)
+    evidence = evidence_of(fast, result, seed)
+    evidence = reweighted(evidence, posterior, fast, result, seed)
     solves = begun.solves + result.solves + evidence.solves
-    return _summarise(specimen, posterior, model, result, evidence, solves, (start, sampling), seed, notify)
+    return _summarise(
+        specimen, (posterior, fast), model, result, evidence, solves, (start, sampling), seed, notify
+    )
 
 
 def _summarise(
     specimen: Specimen,
-    posterior: Posterior,
+    posteriors: tuple[Posterior, Posterior],
     model: ReducedModel | LabelledModel,
     result: EnsembleResult,
     evidence: Evidence,
@@ -339,7 +343,7 @@ def _summarise(
     seed: int,
     notify: Callable[[str], None],
 ) -> SampledResult:
-    rng = np.random.default_rng([seed, 3])
+    (posterior, fast), rng = posteriors, np.random.default_rng([seed, 3])
     draws = result.draws
     n = model.parameters.size
     best = draws[int(np.argmax(result.log_prob))]
@@ -402,7 +406,7 @@ def _summarise(
         reliances=relied_on,
         doubt=doubt,
         evidence=evidence,
-        assessment=assess(posterior, result, pairing, specimen.unknowns.names),
+        assessment=assess(posterior, fast, result, pairing, specimen.unknowns.names),
         result=result,
         forward_solves=solves,
         seconds_sampling=sampling,

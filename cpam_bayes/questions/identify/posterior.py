@@ -69,6 +69,8 @@ __all__ = ["product_text"]
 _MAX_DISTANCE_SD: Final = 3.0
 # Smaller exponents are left out of a product.
 _SMALL: Final = 0.05
+# Keys of the document that say how well the evidence is known.
+_EVIDENCE: Final = ("standard_error", "effective_size", "k_hat", "status", "exact_fraction")
 # Diagnoses that a reader must not overlook.
 _DOUBTFUL: Final = ("prior and data disagree", "prior is strong, likelihood weak", "likelihood is weak")
 # Shift of a mean, in sd, from which moving a bound is worth telling.
@@ -404,8 +406,8 @@ def _chains(result: SampledResult) -> Table:
     if result.noise is not None:
         name, noise = result.noise
         factor, unit = (1.0, "Hz") if name == "absolute_sd" else (100.0, "% of a frequency")
-        level, spread = factor * noise.mean, factor * noise.sd
-        rows.append(("noise of the chains", f"{level:.2g} +- {spread:.2g} {unit}, inferred{shape}"))
+        level = f"{factor * noise.mean:.2g} +- {factor * noise.sd:.2g} {unit}"
+        rows.append(("noise of the chains", f"{level}, inferred{shape}"))
     elif shape:
         rows.append(("noise of the chains", f"of the plate file{shape}"))
     rows += [
@@ -459,9 +461,10 @@ def _scores(result: SampledResult) -> list[tuple[str, str]]:
 
 def _evidence(result: SampledResult) -> str:
     e = result.evidence
-    value = f"log evidence {e.log_evidence:.3f} +- {e.standard_error:.3f}"
+    value = f"log evidence {e.log_evidence:.3f} +- {e.standard_error:.3f}, importance sampling"
     sizes = f"{e.effective_size:.0f} effective of {e.n_draws} draws, k-hat {e.k_hat:.2f}"
-    return f"{value}, importance sampling ({sizes}){'' if e.status == 'reliable' else ': NOT reliable'}"
+    exact = f"on the whole basis {100.0 * e.exact_fraction:.4g} % of those of the chains"
+    return f"{value} ({sizes}; {exact}){'' if e.status == 'reliable' else ': NOT reliable'}"
 
 
 def _document(result: SampledResult, modes: Rows) -> dict[str, Any]:
@@ -487,12 +490,7 @@ def _document(result: SampledResult, modes: Rows) -> dict[str, Any]:
         "posterior_predictive_p_value": result.p_value,
         "leave_one_out": _leave_one_out(result),
         "log_evidence": result.evidence.log_evidence,
-        "evidence": {
-            "standard_error": result.evidence.standard_error,
-            "effective_size": result.evidence.effective_size,
-            "k_hat": result.evidence.k_hat,
-            "status": result.evidence.status,
-        },
+        "evidence": {key: getattr(result.evidence, key) for key in _EVIDENCE},
         "identifiability": {"combinations": _combinations(result), "profiles": _profiles(result)},
         "power_scaling": {
             user_name(s.name): {

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from cpam_bayes.formatting import signed, significant
+from cpam_bayes.formatting import listed, signed, significant
 from cpam_bayes.printed.tables import AGREEMENTS, PAPER
 from cpam_bayes.questions.paper.rows import (
     AGREES,
@@ -51,6 +51,8 @@ Record = Mapping[str, Any]
 
 _OF_THE_PAPER: Final = (PAPER, f"{PAPER}, two constants")
 _FREQUENCY_TABLES: Final = (1, 5)
+# Misfit of the plain model, %, from which on a plate's list is not that of the printed plate.
+_UNEXPLAINED_PERCENT: Final = 5.0
 
 
 def _of(
@@ -182,7 +184,9 @@ _SIMULATION: Final = (
     _of("printed_rms_percent", "printed rms %", _THREE_DIGITS, number=True),
     _of("plain_rms_percent", "plain rms %", _THREE_DIGITS, number=True),
     _of("claim"),
+    _of("sentence"),
     _of("causes"),
+    _of("sizes"),
     _shown("claim", lambda e: f"{e['claim']}: {', '.join(e['causes'])}" if e["causes"] else e["claim"]),
     _of("probability", "probability", "{:.2f}".format, number=True),
     _of("extended_rms_percent", "extended rms %", _THREE_DIGITS, number=True),
@@ -470,6 +474,7 @@ def _lines(document: Record) -> Iterator[str]:
         f"All {len(document['rows'])} printed values stand beside the computed ones in "
         "[comparison.csv](comparison.csv); `cpam-bayes paper N` shows one table.",
         "",
+        *_wrong_plates(document["simulation"]),
         "## The most important disagreements",
         "",
         *(f"{i}. {text}" for i, text in enumerate(document["disagreements"], 1)),
@@ -511,6 +516,42 @@ def _lines(document: Record) -> Iterator[str]:
     yield from _markdown(Rows("misfits", _OWN_MISFITS, own))
     yield from _hadamard_lines(document["hadamard"])
     yield from (f"- Warning: {text}" for text in document["warnings"])
+
+
+def _wrong_plates(simulation: Sequence[Record]) -> Iterator[str]:
+    """What is wrong with plates whose lists no constants within their bounds explain, in plain words."""
+    far = (e for e in simulation if e["plain_rms_percent"] > _UNEXPLAINED_PERCENT)
+    wrong = {e["specimen"]: e for e in sorted(far, key=itemgetter("specimen"))}
+    if not wrong:
+        return
+    yield from (
+        f"## What is wrong with {listed(tuple(wrong), 'and')}",
+        "",
+        f"The printed plate misses its measured frequencies by more than {_UNEXPLAINED_PERCENT:g} % (rms), "
+        "whatever the constants. By `cpam-bayes diagnose`, each size in the most probable set of causes:",
+        "",
+        *(f"- **{name}**: {_wrong(error)}" for name, error in wrong.items()),
+        "",
+    )
+
+
+def _wrong(error: Record) -> str:
+    alternatives = error["claim"] in ("class", "undecided")
+    sizes = (" or " if alternatives else "; ").join(
+        f"{name.removesuffix('_deg').replace('_', ' ')} {signed(size['mean'], 1)} +- "
+        f"{significant(size['sd'], 2)} {size['unit']}".rstrip()
+        for name, size in error["sizes"].items()
+    )
+    plain, extended = error["plain_rms_percent"], error["extended_rms_percent"]
+    misfit = f"The best constants leave {significant(plain, 2)} %"
+    left = f"{misfit}; nothing is claimed that would leave less."
+    if extended is not None:
+        left = f"{misfit}; with this {significant(extended, 2)} % are left, log Bayes factor "
+        left += f"{error['log_bayes_factor']:.0f}"
+        if error["held_out"] is not None:
+            left += f", {signed(error['held_out'], 0)} +- {error['held_out_se']:.0f} on frequencies left out"
+        left += "."
+    return f"{error['sentence']} {f'Size: {sizes}. ' if sizes else ''}{left}"
 
 
 def _noise_lines(document: Record) -> Iterator[str]:

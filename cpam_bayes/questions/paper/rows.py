@@ -175,7 +175,8 @@ class SimulationError:
         None where none is printed
     plain_rms_percent, extended_rms_percent : of the plain model with its own constants, and extended by what
         is claimed; None where nothing is
-    claim, causes, probability : of the diagnosis
+    claim, sentence, causes, probability : of the diagnosis
+    sizes : mean, sd and unit of what is claimed, by name
     log_bayes_factor : of what is claimed against the plain model. held_out, held_out_se : log predictive
         density of frequencies left out, less the plain model's, and its standard error
     """
@@ -185,7 +186,9 @@ class SimulationError:
     printed_rms_percent: float | None
     plain_rms_percent: float
     claim: str
+    sentence: str
     causes: tuple[str, ...]
+    sizes: Mapping[str, Mapping[str, Any]]
     probability: float
     extended_rms_percent: float | None
     log_bayes_factor: float | None

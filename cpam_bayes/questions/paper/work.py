@@ -209,13 +209,26 @@ def diagnosis_row(document: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "plain_rms_percent": document["baseline"]["rms_percent"],
         "claim": document["claim"],
+        "sentence": document["sentence"],
         "causes": document["causes"],
+        "sizes": _sizes(document),
         "probability": document["probability"],
         "extended_rms_percent": None if extended is None else extended["rms_percent"],
         "log_bayes_factor": None if gain is None else gain["log_bayes_factor"],
         "held_out": None if gain is None else gain["held_out_log_score_difference"],
         "held_out_se": None if gain is None else gain["held_out_log_score_se"],
     }
+
+
+def _sizes(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Sizes of what is claimed, of each cause in the most probable set that it belongs to, by name."""
+    hypotheses = document["hypotheses"]
+    claimed = document["causes"] or ([] if document["claim"] == "none" else [hypotheses[0]["cause"]])
+    found: dict[str, Any] = {}
+    for cause in claimed:
+        of_cause = [h["parameters"] for h in hypotheses if cause in h["cause"].split(" + ")]
+        found |= {name: size for name, size in of_cause[0].items() if name not in found} if of_cause else {}
+    return found
 
 
 Kind = Literal["forward", "constants", "noise", "angles"]

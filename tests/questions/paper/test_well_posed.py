@@ -63,7 +63,9 @@ def test_the_printed_simulation_is_held_against_the_measured_list() -> None:
     answer = {
         "plain_rms_percent": 1.0,
         "claim": "named",
+        "sentence": "Plate not flat (probability 0.95).",
         "causes": ["warp"],
+        "sizes": {"sag": {"mean": 1.0, "sd": 0.1, "unit": "mm"}},
         "probability": 0.95,
         "extended_rms_percent": 0.2,
         "log_bayes_factor": 8.0,
