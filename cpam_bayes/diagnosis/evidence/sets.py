@@ -4,11 +4,11 @@ Where the log frequencies are linear in the scores of the constants and the shif
 constants are integrated in closed form at every two nodes of the effects' sizes: about the plain model's
 optimum, or about that of a leading set, to which a cause is added. Where nothing explains the lists, gross
 errors lead these optima astray: pairs are ranked about the prior medians too, and, unless one cause explains
-them, about the constants of the best pair, until no better one turns up. An error of a list may show only once a cause of the plate is
-there: where no two causes explain the lists, the leading causes of the plates are fitted together with every
-error of the lists, all of these at once. A further cause
-that does not show is not fitted. What the closed form gives the sets that show and were not fitted is
-unaccounted for, and the search goes on while that is more than a hundredth.
+them, about the constants of the best pair, until no better one turns up. An error of a list may show only
+once a cause of the plate is there: where no two causes explain the lists, the leading causes of the plates
+are fitted together with every error of the lists, all of these at once. A further cause that does not show is
+not fitted. What the closed form gives the sets that show and were not fitted is unaccounted for, and the
+search goes on while that is more than a hundredth.
 """
 
 from __future__ import annotations
@@ -183,8 +183,7 @@ def add_sets(scan: Scan, hypotheses: Sequence[tuple[Hypothesis, tuple[int, ...]]
         search.fit([search.plain, *map(_Point.of, of_pairing)], SETS.fitted, SETS.promising)
     elif explaining:
         # a cause with a place and an extent may happen to explain what two others do better
-        points = [search.plain, *search.medians, *map(_Point.of, explaining)]
-        search.fit(points, SETS.fitted, SETS.promising)
+        search.fit([search.plain, *search.medians, *map(_Point.of, explaining)], SETS.fitted, SETS.promising)
     else:
         points = {id(t): _Point.of(t) for t in (*leaders[:1], *of_pairing)}
         search.fit([search.plain, *search.medians, *points.values()], SETS.fitted)
