@@ -226,12 +226,11 @@ _COMPUTED: Final = (
 )
 
 
-def _well_posed(conditions: Sequence[Record], *, brief: bool = False) -> Rows:
-    """Conditions by case; brief : without what the other columns say."""
+def _well_posed(conditions: Sequence[Record]) -> Rows:
+    """Conditions by case."""
     names = dict.fromkeys(name for c in conditions for name in c["percent_per_percent"])
-    unit = "" if brief else ", % per %"
     stability = (
-        _shown(f"{name.partition('_')[0]}{unit}", partial(_amplified, name), number=True) for name in names
+        _shown(f"{name.partition('_')[0]}, % per %", partial(_amplified, name), number=True) for name in names
     )
     every = (
         _of("table", "table", number=True),
@@ -244,12 +243,7 @@ def _well_posed(conditions: Sequence[Record], *, brief: bool = False) -> Rows:
         _of("optima", "optima", number=True),
         _of("layups", "stacking sequences", number=True),
     )
-    shown = (
-        _of("specimen", "specimen"),
-        _of("unknowns", "unknowns", number=True),
-        *(column for column in every if column.key in ("left_percent", "condition", "optima", "layups")),
-    )
-    return Rows("hadamard", (*(shown if brief else every), *stability), tuple(conditions))
+    return Rows("hadamard", (*every, *stability), tuple(conditions))
 
 
 def _amplified(name: str, condition: Record) -> str | None:
@@ -569,17 +563,15 @@ def _hadamard_lines(conditions: Sequence[Record]) -> Iterator[str]:
     yield from (
         "## Hadamard's conditions",
         "",
-        "*Existence*: left %, the root of the residual sum of squares over the degrees of freedom, is at "
-        f"most {conditions[0]['repeatability_percent']:.2g} %, which 97.5 % of tap tests repeat within. "
+        "*Existence*: the root of the residual sum of squares over the degrees of freedom is at most "
+        f"{conditions[0]['repeatability_percent']:.2g} %, which 97.5 % of tap tests repeat within. "
         "*Uniqueness*: the sensitivities d ln f / d ln x have full rank, and no other optimum or stacking "
-        "sequence (95 % set) fits within the noise. *Stability*, columns E1 to G23: standard deviation of a "
-        "constant in % for 1 % of noise on each frequency, to first order and without bounds.",
-        "",
+        "sequence (95 % set) fits within the noise. "
         f"A solution exists for {len(exist)} of {len(conditions)} choices of plate and unknowns"
-        f"{_named(exist)}, and is the only one for {len(unique)}{_named(unique)}.",
+        f"{_named(exist)}, and is the only one for {len(unique)}{_named(unique)}. *Stability*, what 1 % of "
+        "noise does to each constant, is in the table of `cpam-bayes paper --verbose`.",
         "",
     )
-    yield from _markdown(_well_posed(conditions, brief=True))
 
 
 def _named(conditions: Sequence[Record]) -> str:
