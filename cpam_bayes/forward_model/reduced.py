@@ -113,7 +113,8 @@ def reduce(
 
     A wide basis comes from full solves at ``settings.training`` sets, with many modes beyond those
     predicted: what a change of the plate makes of a mode is a sum of others. It is checked at fresh sets.
-    On it many more sets are solved, and the principal directions of their modes are the basis.
+    On it many more sets are solved, and the principal directions of their modes are the basis. Each of
+    the two is made to the tolerance; what the basis errs in an answer is computed there (``basis_error``).
     """
     problem, tolerance = model.operator.problem, settings.tolerance
     many = training_sets(problem, max(_RELATIONS, settings.training), rng)
