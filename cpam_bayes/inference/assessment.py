@@ -447,13 +447,11 @@ def thinned(result: EnsembleResult) -> ThinnedDraws:
 
 
 def assess(
-    posterior: Posterior,
-    fast: Posterior,
-    result: EnsembleResult,
-    pairing: Pairing,
-    constants: tuple[str, ...],
+    posterior: Posterior, result: EnsembleResult, pairing: Pairing, constants: tuple[str, ...]
 ) -> Assessment:
-    """Assess a sampled posterior; ``constants`` are the parameters that have profiles, of the ``fast`` one.
+    """Assess a sampled posterior; ``constants`` are the parameters that have profiles.
+
+    Profiles reach far beyond the draws, so the posterior is that on the whole basis.
 
     The Jacobian is that at the most probable draw, the noise its median there, since its most probable
     value is too small where few frequencies are left over.
@@ -468,7 +466,7 @@ def assess(
     noise = posterior.parameters.without(*of_plate.names)
     return Assessment(
         combinations=combinations(posterior, best, pairing),
-        profiles=profile_likelihoods(fast, constants, result.draws, result.log_prob.ravel()),
+        profiles=profile_likelihoods(posterior, constants, result.draws, result.log_prob.ravel()),
         power_scaling=power_scaling(
             posterior.parameters.names,
             draws,
