@@ -421,12 +421,10 @@ class ThinnedDraws:
 
     step : steps of the chains between two.
     draws : (chains, draws, n).
-    log_prob : (chains, draws).
     """
 
     step: int
     draws: Array
-    log_prob: Array
 
     @property
     def flat(self) -> Array:
@@ -441,9 +439,9 @@ def thinned(result: EnsembleResult) -> ThinnedDraws:
     no chains of their own, by which R-hat could tell that a sampler has not mixed.
     """
     step = max(1, int(np.ceil(result.diagnostics.autocorrelation_time)))
-    chain, log_prob = result.chain[:, ::step], result.log_prob[:, ::step]
+    chain = result.chain[:, ::step]
     n_ensembles, _, _, n = chain.shape
-    return ThinnedDraws(step, chain.reshape(n_ensembles, -1, n), log_prob.reshape(n_ensembles, -1))
+    return ThinnedDraws(step, chain.reshape(n_ensembles, -1, n))
 
 
 def assess(

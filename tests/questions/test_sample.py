@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from cpam_bayes.answer import Notice
+from cpam_bayes.inference.assessment import thinned
 from cpam_bayes.inference.completeness import profile_likelihoods
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.inference.sampling import basis_notices
@@ -187,7 +188,10 @@ def test_densities_in_the_file_add_up(sampled: SampledResult, gappy: SampledResu
         likelihood = data["log_likelihood"].to_dataset().to_dataarray()
         likelihood = likelihood.sum([d for d in likelihood.dims if d not in ("chain", "draw")])
         prior = data["log_prior"].to_dataset().to_dataarray().sum("variable")
-        np.testing.assert_allclose(data.sample_stats["lp"] - likelihood - prior, 0.0, atol=1e-8)
+        lp = data.sample_stats["lp"]
+        np.testing.assert_allclose(lp - likelihood - prior, 0.0, atol=1e-8)
+        whole = result.posterior.log_prob(thinned(result.result).flat)
+        np.testing.assert_allclose(lp.values.ravel(), whole, atol=1e-8)
 
 
 def test_the_same_posterior_gives_the_same_file(sampled: SampledResult, tmp_path: Path) -> None:

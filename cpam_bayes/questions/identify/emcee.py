@@ -568,13 +568,13 @@ def inference_data(result: SampledResult) -> Any:
     """The posterior for arviz, an ``xarray.DataTree``, thinned by the autocorrelation time.
 
     Chains are the ensembles, whose walkers are no chains of their own. Constants carry the names and units of
-    the plate file; the densities lp and log_prior are those over SI units. Groups: posterior; prior, draws of
-    it; sample_stats (lp); log_likelihood, by frequency over `mode`, as one number for a list that may lack
-    modes; log_prior, by parameter; posterior_predictive, prior_predictive and observed_data over `mode`, of
-    the frequencies that have one; constant_data, the plate's sizes and density. Attributes: command,
-    versions, plate, specimen, layup, edges, seed, hash of the problem, the likelihood; of the material its
-    symmetry and the constants that did not vary (JSON, as in the plate file); the repeatability where it was
-    given.
+    the plate file; the densities lp and log_prior are over SI units, on the whole basis. Groups: posterior;
+    prior, draws of it; sample_stats (lp); log_likelihood, by frequency over `mode`, as one number for a list
+    that may lack modes; log_prior, by parameter; posterior_predictive, prior_predictive and observed_data
+    over `mode`, of the frequencies that have one; constant_data, the plate's sizes and density. Attributes:
+    command, versions, plate, specimen, layup, edges, seed, hash of the problem, the likelihood; of the
+    material its symmetry and the constants that did not vary (JSON, as in the plate file); the repeatability
+    where it was given.
     """
     posterior, chains = result.posterior, thinned(result.result)
     names = posterior.parameters.names
@@ -616,7 +616,7 @@ def inference_data(result: SampledResult) -> Any:
         {
             "posterior": by_user_name(names, chains.draws),
             "prior": by_user_name(names, prior[None]),
-            "sample_stats": {"lp": chains.log_prob},
+            "sample_stats": {"lp": (total + posterior.log_prior(flat)).reshape(shape)},
             "log_likelihood": {"list": total.reshape(shape)}
             if pointwise is None
             else {"frequencies_hz": pointwise.reshape(*shape, -1)},
