@@ -172,7 +172,7 @@ def _tolerances(specimen: Specimen, parameters: ParameterSet, bare: ReducedModel
 def _facts(specimen: Specimen, parameters: ParameterSet, model: ForwardModel) -> PlateFacts:
     middle = reference_vector(specimen, parameters)
     losses = None if specimen.measurement is None else specimen.measurement.loss_factors
-    known = np.array([]) if losses is None else losses[np.isfinite(losses)]
+    known = np.array([]) if losses is None else losses[losses > 0.0]  # 0 and nan were not measured
     return PlateFacts.of(
         specimen.plate,
         specimen.material.isotropic,

@@ -543,10 +543,13 @@ def _stiffened(frequencies: Array, values: Values) -> Array:
 
 def _measured_loss(facts: PlateFacts) -> float:
     """A measured loss factor, of all losses, over the loss tangent of the prior, which it can only lower."""
-    return 1.0 if facts.loss_factor is None else min(facts.loss_factor / _LOSS_TANGENT, 1.0)
+    if facts.loss_factor is None:
+        return 1.0
+    return min(max(facts.loss_factor, _LEAST_LOSS) / _LOSS_TANGENT, 1.0)
 
 
-_LOSS_TANGENT = 0.01
+# The least is that of bare aluminium: less is a decay that was not resolved, and 0 leaves no prior.
+_LOSS_TANGENT, _LEAST_LOSS = 0.01, 1e-4
 FREQUENCY_SCALE = Effect(
     name="frequency_scale",
     title="wrong frequency scale",
@@ -564,7 +567,8 @@ VISCOELASTIC = Effect(
     family="damping",
     belongs_to="material",
     parameters=(one_sided("loss_tangent", "", _LOSS_TANGENT, 0.05),),
-    note="d ln f = (tan delta / pi) ln(f / f_1), after the plate; 1 sd is a measured loss factor below 0.01",
+    note="d ln f = (tan delta / pi) ln(f / f_1), after the plate; 1 sd is the measured loss factor where "
+    "that is below 0.01",
     check="Measure the modal damping: the loss tangent is twice the damping ratio.",
     observe=_stiffened,
     size_factor=_measured_loss,

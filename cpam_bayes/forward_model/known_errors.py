@@ -513,11 +513,12 @@ def tolerant(
 def narrowed(model: ForwardModel, x: Array, tolerance: float) -> ForwardModel:
     """A model on a basis that is made for parameter vectors x (m, n), to a relative error of a frequency.
 
-    Itself where it has no basis, or one to which modes were labelled.
+    Itself where it has no basis, one that is as coarse already, or one to which modes were labelled.
     """
     if isinstance(model, TolerantModel):
         within = x[:, : model.model.parameters.size]
-        return replace(model, model=narrowed(model.model, within, tolerance))
+        inner = narrowed(model.model, within, tolerance)
+        return model if inner is model.model else replace(model, model=inner)
     if isinstance(model, ReducedModel) and tolerance > model.tolerance:
         return focused(model, x, tolerance)
     return model

@@ -421,12 +421,10 @@ class ThinnedDraws:
 
     step : steps of the chains between two.
     draws : (chains, draws, n).
-    log_prob : (chains, draws).
     """
 
     step: int
     draws: Array
-    log_prob: Array
 
     @property
     def flat(self) -> Array:
@@ -441,19 +439,17 @@ def thinned(result: EnsembleResult) -> ThinnedDraws:
     no chains of their own, by which R-hat could tell that a sampler has not mixed.
     """
     step = max(1, int(np.ceil(result.diagnostics.autocorrelation_time)))
-    chain, log_prob = result.chain[:, ::step], result.log_prob[:, ::step]
+    chain = result.chain[:, ::step]
     n_ensembles, _, _, n = chain.shape
-    return ThinnedDraws(step, chain.reshape(n_ensembles, -1, n), log_prob.reshape(n_ensembles, -1))
+    return ThinnedDraws(step, chain.reshape(n_ensembles, -1, n))
 
 
 def assess(
-    posterior: Posterior,
-    fast: Posterior,
-    result: EnsembleResult,
-    pairing: Pairing,
-    constants: tuple[str, ...],
+    posterior: Posterior, result: EnsembleResult, pairing: Pairing, constants: tuple[str, ...]
 ) -> Assessment:
-    """Assess a sampled posterior; ``constants`` are the parameters that have profiles, of the ``fast`` one.
+    """Assess a sampled posterior; ``constants`` are the parameters that have profiles.
+
+    Profiles reach far beyond the draws, so the posterior is that on the whole basis.
 
     The Jacobian is that at the most probable draw, the noise its median there, since its most probable
     value is too small where few frequencies are left over.
@@ -468,7 +464,7 @@ def assess(
     noise = posterior.parameters.without(*of_plate.names)
     return Assessment(
         combinations=combinations(posterior, best, pairing),
-        profiles=profile_likelihoods(fast, constants, result.draws, result.log_prob.ravel()),
+        profiles=profile_likelihoods(posterior, constants, result.draws, result.log_prob.ravel()),
         power_scaling=power_scaling(
             posterior.parameters.names,
             draws,

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes import __version__
+from cpam_bayes.answer import Notice
 from cpam_bayes.fingerprint import fingerprint
 from cpam_bayes.forward_model.known_errors import narrowed
 from cpam_bayes.inference.derivatives import NormalScores
@@ -43,6 +44,8 @@ JUMPS = AdaptationSettings()
 _NARROWED_SETS, _NARROWED_ERROR, _NARROWED_SHARE, _LEAST_NOISE = 400, 2e-3, 0.05, 0.01
 # Draws of the chains that are weighed on the whole basis.
 _REWEIGHTED = 1000
+# Effective fraction of these below which chains on the narrow basis are doubtful.
+_EXACT = 0.9
 
 
 @single_blas_thread
@@ -94,15 +97,17 @@ def sample_from(
 
 
 def _narrowed(posterior: Posterior, x: Array) -> Posterior:
-    """A posterior on a basis for where draws x (m, n) of it are, good to a small part of the noise there."""
+    """A posterior on a basis for where draws x (m, n) of it are, good to a small part of the noise there.
+
+    Itself where its own basis is no better.
+    """
     x = x[np.isfinite(posterior.log_prior(x))]
     f = posterior.predict(x)
     i = np.arange(min(posterior.measurement.size, f.shape[1]))
     noise = (posterior.noise(x, f)[:, i, i] / f[:, i]).min(axis=1)
     tolerance = min(_NARROWED_ERROR, _NARROWED_SHARE * float(np.quantile(noise, _LEAST_NOISE)))
-    return replace(
-        posterior, model=narrowed(posterior.model, x[:, : posterior.model.parameters.size], tolerance)
-    )
+    model = narrowed(posterior.model, x[:, : posterior.model.parameters.size], tolerance)
+    return posterior if model is posterior.model else replace(posterior, model=model)
 
 
 def swarm_on_posterior(posterior: Posterior, seed: int, settings: SwarmSettings) -> tuple[Array, Array, int]:
@@ -147,7 +152,7 @@ _USUAL = EvidenceSettings()
 class Evidence:
     """The integral of likelihood times prior density, and the draws it was estimated from.
 
-    standard_error : of log_evidence, from the spread of the weights.
+    standard_error : of log_evidence, from the spread of the weights, those of a narrow basis included.
     effective_size : (sum w)^2 / sum w^2.
     k_hat : Pareto shape of the largest weights.
     status : reliable where k_hat is below 0.7 and the effective size above 100; elsewhere neither value nor
@@ -181,14 +186,24 @@ def reweighted(
     evidence: Evidence, posterior: Posterior, fast: Posterior, chains: EnsembleResult, seed: int
 ) -> Evidence:
     """The evidence on the whole basis: that on a narrow one, and log E[p / p_fast] over draws of chains."""
+    if fast is posterior:
+        return evidence
     rows = np.random.default_rng([seed, 6]).integers(len(chains.draws), size=_REWEIGHTED)
     x = chains.draws[rows]
     moments = weighted(x[None], (posterior.log_likelihood(x) - fast.log_likelihood(x))[None])
     return replace(
         evidence,
         log_evidence=evidence.log_evidence + float(moments.log_evidence[0]),
+        standard_error=float(np.hypot(evidence.standard_error, moments.standard_error[0])),
         exact_fraction=float(moments.effective_size[0]) / len(x),
     )
+
+
+def basis_notices(evidence: Evidence) -> tuple[Notice, ...]:
+    """A notice where chains on a narrow basis are not quite those on the whole one."""
+    if evidence.exact_fraction >= _EXACT:
+        return ()
+    return (Notice("narrow_basis", facts={"fraction": evidence.exact_fraction}),)
 
 
 def evidence_of(

@@ -351,6 +351,14 @@ def _soft_core(facts: Facts) -> str:
     return f"{begun}, and identified moduli too high by up to twice as much."
 
 
+def _narrow_basis(facts: Facts) -> str:
+    return (
+        "The chains ran on a small basis, and by the whole one their draws are worth "
+        f"{_percent(facts['fraction'])}: means and intervals can be off. State the repeatability, for which "
+        "the basis is then made."
+    )
+
+
 def _unexplained_by_none(facts: Facts) -> str:
     noise = "any believable repeatability" if facts["inferred"] else "the stated repeatability"
     return (
@@ -698,6 +706,7 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
         "The chains used their budget of {steps} steps before they converged (R-hat {r_hat:.3f}, "
         "{ess_bulk:.0f} effective samples): do not rely on means and intervals. Allow more steps."
     ),
+    "narrow_basis": _narrow_basis,
     "unexplained_residuals": (
         "The residuals are larger than the stated noise explains (p = {p:.3f}): the plate model lacks "
         "something, or the noise is larger."

@@ -317,9 +317,12 @@ class StackingMixture:
 
 
 def n_sampled_classes(answer: StackingPosterior, settings: MixtureSettings = MIXTURE_SETTINGS) -> int:
-    """Number of the first classes that emcee samples."""
+    """Number of the first classes that emcee samples, up to the last one with enough probability.
+
+    They are in the order of the evidence of one sequence: a class of many may follow classes of few.
+    """
     enough = answer.probability * answer.multiplicity >= settings.least
-    return max(int(np.cumprod(enough).sum()), 1)
+    return int(max(np.flatnonzero(enough), default=0)) + 1
 
 
 @single_blas_thread

@@ -213,6 +213,7 @@ def test_the_expected_size_may_depend_on_the_plate() -> None:
         (None, 0.01),
         (0.004, 0.004),
         (0.03, 0.01),
+        (0.0, 1e-4),
     ):  # all losses, not the plate's alone
         (loss,) = variants(BY_NAME["viscoelastic"], replace(facts("C1"), loss_factor=measured))
         assert loss.scaled(1.0)["loss_tangent"] == pytest.approx(expected)

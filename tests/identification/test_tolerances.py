@@ -13,6 +13,8 @@ import cpam_bayes as cb
 from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.known_errors import FREQUENCY_SCALE, TolerantModel, tolerant
 from cpam_bayes.forward_model.model import converged_model, reference_constants
+from cpam_bayes.inference.posterior import Posterior, plate_posterior
+from cpam_bayes.inference.sampling import _narrowed as narrowed
 from cpam_bayes.plate import Specimen, parse_specimen
 
 EXAMPLE = (Path(__file__).parents[2] / "examples" / "panel.toml").read_text(encoding="utf-8")
@@ -81,3 +83,29 @@ def test_derivatives_of_a_tolerant_model_are_those_of_its_predictions(panel: Spe
         np.testing.assert_allclose(
             slopes[:, k], (up - down) / (2.0 * step[0, k]), rtol=1e-3, atol=1e-6 / value
         )
+
+
+def test_a_narrowed_posterior_has_a_smaller_basis_that_errs_less_than_a_part_of_the_noise(
+    panel: Specimen,
+) -> None:
+    assert panel.measurement is not None
+    n = panel.measurement.size
+    model = reduced_model(panel, panel.unknowns, n)
+    constants = {name: float(reference_constants(panel)[name]) for name in panel.unknowns.names}
+    own = tolerant(panel, model, constants, np.arange(n))
+    whole, exact = (
+        plate_posterior(own, replace(panel.measurement, relative_std=sd, frequency_sd=None), np.zeros(n))
+        for sd in (0.02, 1e-4)
+    )
+    middle = np.array([*constants.values(), *(p.prior.mean for p in whole.parameters.parameters[4:])])
+    x = middle * (1.0 + 0.002 * np.random.default_rng(0).uniform(-1.0, 1.0, (200, len(middle))))
+
+    def sizes(posterior: Posterior) -> int:
+        assert isinstance(posterior.model, TolerantModel)
+        return sum(block.size for block in posterior.model.model.fast.operator.blocks)
+
+    narrow = narrowed(whole, x)
+    assert sizes(narrow) < sizes(whole)
+    # the list is rank by rank: two modes that change places err no more than each alone
+    assert np.abs(narrow.predict(x) / whole.predict(x) - 1.0).max() < 0.05 * 0.02
+    assert narrowed(exact, x) is exact, "its own basis is no better"

@@ -178,7 +178,8 @@ def test_an_evidence_on_a_narrow_basis_is_that_on_the_whole_one_once_draws_are_r
     # of a thousand draws whose weights scatter by a few per cent
     assert weighed.log_evidence == pytest.approx(expected.log_evidence, abs=0.02)
     assert 0.8 < weighed.exact_fraction < 0.999
-    assert reweighted(found, narrow, narrow, chains, 0).exact_fraction == pytest.approx(1.0)
+    assert found.standard_error < weighed.standard_error < 0.02
+    assert reweighted(found, narrow, narrow, chains, 0) is found
 
 
 def test_a_proposal_that_cannot_follow_is_not_called_reliable() -> None:

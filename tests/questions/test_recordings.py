@@ -139,8 +139,10 @@ def test_an_unpaired_peak_of_double_hits_is_said_to_be_of_the_second_hit(plate: 
     assert {hz for hz, said in taken.items() if said == "second hit"} == {f}
 
 
-def test_measured_damping_reaches_the_causes(tmp_path: Path) -> None:
-    rows = "hz,sd,height,damping\n114,1,3,0.002\n166,1,3,0.003\n218,2,3,0.01\n"
+@pytest.mark.parametrize("damping", [("0.002", "0.003", "0.01"), ("0", "0.003", "0")])
+def test_measured_damping_reaches_the_causes(tmp_path: Path, damping: tuple[str, ...]) -> None:
+    one, two, three = damping
+    rows = f"hz,sd,height,damping\n114,1,3,{one}\n166,1,3,{two}\n218,2,3,{three}\n"
     (tmp_path / "peaks.csv").write_text(rows, encoding="utf-8")
     path = tmp_path / "plate.toml"
     path.write_text(f'{PLATE}[measurement]\npeaks = "peaks.csv"\n', encoding="utf-8")

@@ -12,7 +12,10 @@ import numpy as np
 import pytest
 
 from cpam_bayes.answer import Notice
+from cpam_bayes.inference.assessment import thinned
+from cpam_bayes.inference.completeness import profile_likelihoods
 from cpam_bayes.inference.ensemble import EnsembleSettings
+from cpam_bayes.inference.sampling import basis_notices
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Uniform
 from cpam_bayes.plate import builtin
 from cpam_bayes.questions.forward import forward
@@ -78,6 +81,28 @@ def test_the_document_is_json_with_what_is_promised(sampled: SampledResult) -> N
         assert 0.0 < row["left_out"]["leverage"] < 1.0
         # a mode left out is predicted no better than one that is not, on the same side
         assert row["left_out"]["residual_percent"] / row["residual_percent"] > 1.0
+
+
+def test_profiles_are_those_on_the_whole_basis(sampled: SampledResult) -> None:
+    """That of Poisson's ratio spans its search interval, far beyond the draws of a narrow basis."""
+    x, log_prob = sampled.result.draws, sampled.result.log_prob.ravel()
+    again = profile_likelihoods(sampled.posterior, ("E1", "nu12"), x, log_prob)
+    for found, expected in zip(sampled.assessment.profiles, again, strict=True):
+        np.testing.assert_array_equal(found.drop, expected.drop)
+
+
+def test_a_narrow_basis_that_moves_the_chains_is_said(sampled: SampledResult) -> None:
+    evidence = replace(sampled.evidence, exact_fraction=0.6)
+    assert basis_notices(evidence) == (Notice("narrow_basis", facts={"fraction": 0.6}),)
+    assert basis_notices(sampled.evidence) == ()
+
+
+def test_peaks_that_are_no_mode_are_not_counted_as_determining(sampled: SampledResult) -> None:
+    mode = sampled.pairing.mode.copy()
+    mode[2] = -1
+    result = replace(sampled, pairing=replace(sampled.pairing, mode=mode))
+    assert "The 6 frequencies determine" in sampled.report().summary.headline
+    assert "The 5 frequencies determine" in result.report().summary.headline
 
 
 def test_importance_sampling_is_quoted_where_it_is_reliable_alone(sampled: SampledResult) -> None:
@@ -163,7 +188,10 @@ def test_densities_in_the_file_add_up(sampled: SampledResult, gappy: SampledResu
         likelihood = data["log_likelihood"].to_dataset().to_dataarray()
         likelihood = likelihood.sum([d for d in likelihood.dims if d not in ("chain", "draw")])
         prior = data["log_prior"].to_dataset().to_dataarray().sum("variable")
-        np.testing.assert_allclose(data.sample_stats["lp"] - likelihood - prior, 0.0, atol=1e-8)
+        lp = data.sample_stats["lp"]
+        np.testing.assert_allclose(lp - likelihood - prior, 0.0, atol=1e-8)
+        whole = result.posterior.log_prob(thinned(result.result).flat)
+        np.testing.assert_allclose(lp.values.ravel(), whole, atol=1e-8)
 
 
 def test_the_same_posterior_gives_the_same_file(sampled: SampledResult, tmp_path: Path) -> None:

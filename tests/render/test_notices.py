@@ -62,6 +62,7 @@ FACTS: dict[str, dict[str, object]] = {
     "cut_posterior": {"constraint": CUT},
     "solver_error": {"error": 0.066, "mode": 6},
     "soft_core": {"error": 0.3, "limit": 0.1},
+    "narrow_basis": {"fraction": 0.62},
     "chains_not_converged": {"steps": 20, "r_hat": 1.2, "ess_bulk": 12.0},
     "unexplained_residuals": {"p": 0.01},
     "unexplained_by_none": {"p": 0.01, "inferred": True},

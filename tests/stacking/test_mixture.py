@@ -23,6 +23,8 @@ def test_the_first_class_is_sampled_by_emcee_and_so_are_those_with_much_of_the_p
     assert n_sampled_classes(own, ONE) == 1
     assert n_sampled_classes(own, MixtureSettings(least=float(mass[2]))) == 3
     assert n_sampled_classes(own, MixtureSettings(least=0.0)) == len(own.top)
+    behind = replace(own, probability=np.array([0.1, 0.095, 0.09]), multiplicity=np.array([4, 1, 4]))
+    assert n_sampled_classes(behind, MixtureSettings(least=0.1)) == 3, "the third has 0.36"
 
 
 def test_emcee_and_importance_sampling_agree_on_every_component() -> None:

@@ -50,6 +50,7 @@ from cpam_bayes.inference.posterior import NOISE_NAMES, Likelihood, Posterior
 from cpam_bayes.inference.sampling import (
     Evidence,
     arviz_data,
+    basis_notices,
     by_user_name,
     described,
     evidence_of,
@@ -327,14 +328,12 @@ def _sampled(
     evidence = evidence_of(fast, result, seed)
     evidence = reweighted(evidence, posterior, fast, result, seed)
     solves = begun.solves + result.solves + evidence.solves
-    return _summarise(
-        specimen, (posterior, fast), model, result, evidence, solves, (start, sampling), seed, notify
-    )
+    return _summarise(specimen, posterior, model, result, evidence, solves, (start, sampling), seed, notify)
 
 
 def _summarise(
     specimen: Specimen,
-    posteriors: tuple[Posterior, Posterior],
+    posterior: Posterior,
     model: ReducedModel | LabelledModel,
     result: EnsembleResult,
     evidence: Evidence,
@@ -343,7 +342,7 @@ def _summarise(
     seed: int,
     notify: Callable[[str], None],
 ) -> SampledResult:
-    (posterior, fast), rng = posteriors, np.random.default_rng([seed, 3])
+    rng = np.random.default_rng([seed, 3])
     draws = result.draws
     n = model.parameters.size
     best = draws[int(np.argmax(result.log_prob))]
@@ -406,7 +405,7 @@ def _summarise(
         reliances=relied_on,
         doubt=doubt,
         evidence=evidence,
-        assessment=assess(posterior, fast, result, pairing, specimen.unknowns.names),
+        assessment=assess(posterior, result, pairing, specimen.unknowns.names),
         result=result,
         forward_solves=solves,
         seconds_sampling=sampling,
@@ -417,6 +416,7 @@ def _summarise(
             *slips,
             *(() if slips or noise is None else high_noise_notices(noise.mean)),
             *sampled_notices(specimen, posterior, result, constants, shown_modes, p_value, doubt, shapes),
+            *basis_notices(evidence),
             *left_out_peaks(measurement, pairing),
             *exchange_notices(specimen),
         ),
@@ -568,13 +568,13 @@ def inference_data(result: SampledResult) -> Any:
     """The posterior for arviz, an ``xarray.DataTree``, thinned by the autocorrelation time.
 
     Chains are the ensembles, whose walkers are no chains of their own. Constants carry the names and units of
-    the plate file; the densities lp and log_prior are those over SI units. Groups: posterior; prior, draws of
-    it; sample_stats (lp); log_likelihood, by frequency over `mode`, as one number for a list that may lack
-    modes; log_prior, by parameter; posterior_predictive, prior_predictive and observed_data over `mode`, of
-    the frequencies that have one; constant_data, the plate's sizes and density. Attributes: command,
-    versions, plate, specimen, layup, edges, seed, hash of the problem, the likelihood; of the material its
-    symmetry and the constants that did not vary (JSON, as in the plate file); the repeatability where it was
-    given.
+    the plate file; the densities lp and log_prior are over SI units, on the whole basis. Groups: posterior;
+    prior, draws of it; sample_stats (lp); log_likelihood, by frequency over `mode`, as one number for a list
+    that may lack modes; log_prior, by parameter; posterior_predictive, prior_predictive and observed_data
+    over `mode`, of the frequencies that have one; constant_data, the plate's sizes and density. Attributes:
+    command, versions, plate, specimen, layup, edges, seed, hash of the problem, the likelihood; of the
+    material its symmetry and the constants that did not vary (JSON, as in the plate file); the repeatability
+    where it was given.
     """
     posterior, chains = result.posterior, thinned(result.result)
     names = posterior.parameters.names
@@ -616,7 +616,7 @@ def inference_data(result: SampledResult) -> Any:
         {
             "posterior": by_user_name(names, chains.draws),
             "prior": by_user_name(names, prior[None]),
-            "sample_stats": {"lp": chains.log_prob},
+            "sample_stats": {"lp": (total + posterior.log_prior(flat)).reshape(shape)},
             "log_likelihood": {"list": total.reshape(shape)}
             if pointwise is None
             else {"frequencies_hz": pointwise.reshape(*shape, -1)},

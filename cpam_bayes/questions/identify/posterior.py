@@ -111,7 +111,7 @@ def _present(result: SampledResult) -> Report:
     modes, peaks = _modes(result), peak_rows(specimen.measurement, result.frequencies)
     residuals = np.array([row.residual for row in result.frequencies if row.residual is not None])
     rms = float(np.sqrt(np.mean(residuals**2))) if residuals.size else math.nan
-    headline = constants_headline(constants, result.posterior.measurement.size)
+    headline = constants_headline(constants, residuals.size)
     if result.status == "budget":
         headline = f"The chains did not converge: do not use this answer. {headline}"
     return Report(

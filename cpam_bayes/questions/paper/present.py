@@ -529,12 +529,17 @@ def _wrong_plates(simulation: Sequence[Record]) -> Iterator[str]:
     )
 
 
+# Claims whose causes have a size; the size of what is undecided or unknown says nothing.
+_SIZED: Final = ("named", "pair", "class")
+
+
 def _wrong(error: Record) -> str:
-    alternatives = error["claim"] in ("class", "undecided")
-    sizes = (" or " if alternatives else "; ").join(
+    claim = error["claim"]
+    sizes = (" or " if claim == "class" else "; ").join(
         f"{name.removesuffix('_deg').replace('_', ' ')} {signed(size['mean'], 1)} +- "
         f"{significant(size['sd'], 2)} {size['unit']}".rstrip()
         for name, size in error["sizes"].items()
+        if claim in _SIZED
     )
     plain, extended = error["plain_rms_percent"], error["extended_rms_percent"]
     misfit = f"The best constants leave {significant(plain, 2)} %"

@@ -256,6 +256,7 @@ def test_the_page_begins_with_what_is_wrong_with_the_plates_that_no_constants_ex
     assert of["C3"]["sizes"]["thickness_deviation"]["mean"] == pytest.approx(83.1, abs=0.1)
     assert "thickness deviation +83.1 +- 5.4 % or density deviation" in said["C3"]
     assert "nothing is claimed" in said["D1"]
+    assert {name for name, line in said.items() if "Size: " in line} == {"C3", "C4"}
 
 
 def test_a_changed_number_changes_the_page(document: dict[str, Any]) -> None:
