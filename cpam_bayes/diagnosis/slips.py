@@ -55,7 +55,7 @@ from cpam_bayes.forward_model.preconditions import require_reachable
 from cpam_bayes.identification.search import required
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
-from cpam_bayes.plate import Plate, Specimen, to_user
+from cpam_bayes.plate import Material, Plate, Specimen, to_user
 from cpam_bayes.plate.edges import ALL_FREE, EDGES
 from cpam_bayes.plate.layup import from_angles
 from cpam_bayes.plate.text import decode, line_numbers
@@ -186,12 +186,12 @@ def explaining_slips(specimen: Specimen) -> tuple[Slip, ...]:
     """The slips that explain a list, the most probable first; empty where none does or too many may.
 
     Two are claimed together where they are one spectrum: a square cantilever with its layup turned, or held
-    at the neighbouring edge. Nothing is tried of unknown angles, of frequencies whose modes are labelled and
-    of lists that may lack modes; nothing is said where time is up before all were tried.
+    at the neighbouring edge. Nothing is tried of several materials, of unknown angles, of frequencies whose
+    modes are labelled and of lists that may lack modes; nothing is said where time is up before all were tried.
     """
     measurement, _ = required(specimen)
     is_tried = measurement.complete and not measurement.names_modes and specimen.plate.mesh is None
-    if specimen.plate.layup.n_unknown or not is_tried:
+    if specimen.plate.layup.n_unknown or not (is_tried and isinstance(specimen.material, Material)):
         return ()
     of_plate = list(_plates(specimen))
     share = P_SINGLE / (_OF_LIST + len({slip.kind for slip in of_plate}))
