@@ -187,7 +187,7 @@ def explaining_slips(specimen: Specimen) -> tuple[Slip, ...]:
 
     Two are claimed together where they are one spectrum: a square cantilever with its layup turned, or held
     at the neighbouring edge. Nothing is tried of several materials, of unknown angles, of frequencies whose
-    modes are labelled, of lists that may lack modes; nothing is said where time is up before that is done.
+    modes are labelled, or of lists that may lack modes; nothing is said where time is up before that is done.
     """
     measurement, _ = required(specimen)
     is_tried = measurement.complete and not measurement.names_modes and specimen.plate.mesh is None
