@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import tomllib
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -54,9 +55,9 @@ from cpam_bayes.forward_model.preconditions import require_reachable
 from cpam_bayes.identification.search import required
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
-from cpam_bayes.plate import Plate, Specimen, to_user
+from cpam_bayes.plate import Material, Plate, Specimen, to_user
 from cpam_bayes.plate.edges import ALL_FREE, EDGES
-from cpam_bayes.plate.layup import Layup
+from cpam_bayes.plate.layup import from_angles
 from cpam_bayes.plate.text import decode, line_numbers
 from cpam_bayes.running import is_time_up, single_blas_thread
 
@@ -90,7 +91,7 @@ _IN_SIGHT: Final = 0.03
 _FACTORS: Final = (10.0, 100.0, 1000.0)
 _OTHERWISE_HELD: Final = str.maketrans("CS", "SC")
 # A key with its value, up to a comment.
-_VALUE: Final = re.compile(r"""[^=\n]*=\s*(\[[^\]]*\]|"[^"\n]*"|'[^'\n]*'|[^#\s]+)""")
+_VALUE: Final = re.compile(r"""[^=\n]*=\s*(\[(?:[^\]#]|#[^\n]*)*\]|"[^"\n]*"|'[^'\n]*'|[^#\s]+)""")
 _LISTED, _COMPLETE = ("measurement", "frequencies_hz"), ("measurement", "complete")
 # Keys that number the rows of the list.
 _NUMBERED: Final = (("measurement", "left_out"), ("measurement", "by_hand"))
@@ -185,12 +186,12 @@ def explaining_slips(specimen: Specimen) -> tuple[Slip, ...]:
     """The slips that explain a list, the most probable first; empty where none does or too many may.
 
     Two are claimed together where they are one spectrum: a square cantilever with its layup turned, or held
-    at the neighbouring edge. Nothing is tried of unknown angles, of frequencies whose modes are labelled and
-    of lists that may lack modes; nothing is said where time is up before all were tried.
+    at the neighbouring edge. Nothing is tried of several materials, of unknown angles, of frequencies whose
+    modes are labelled, or of lists that may lack modes; nothing is said where time is up before that is done.
     """
     measurement, _ = required(specimen)
     is_tried = measurement.complete and not measurement.names_modes and specimen.plate.mesh is None
-    if specimen.plate.layup.n_unknown or not is_tried:
+    if specimen.plate.layup.n_unknown or not (is_tried and isinstance(specimen.material, Material)):
         return ()
     of_plate = list(_plates(specimen))
     share = P_SINGLE / (_OF_LIST + len({slip.kind for slip in of_plate}))
@@ -344,9 +345,8 @@ def _other_plates(specimen: Specimen) -> Iterator[tuple[SlipKind, Plate, dict[tu
     if not even and not specimen.material.isotropic:
         angles = np.array([a + 90.0 if a <= 0.0 else a - 90.0 for a in plate.layup.angles_deg])
         if not np.array_equal(angles, plate.layup.angles_deg):
-            text = f"[{'/'.join(f'{a:g}' for a in angles)}]"
-            turned = Layup(text, angles, plate.layup.unknown_index, plate.layup.kinds)
-            yield "layup", replace(plate, layup=turned), {("plate", "layup"): text}
+            turned = from_angles(angles.tolist(), plate.layup.kinds)
+            yield "layup", replace(plate, layup=turned), {("plate", "layup"): turned.text}
     if not even:
         edges = plate.edges[-1] + plate.edges[:-1]
         yield "edges", replace(plate, edges=edges), {("plate", "edges"): edges}
@@ -373,7 +373,8 @@ def corrected_texts(
 def corrected_file(specimen: Specimen, slip: Slip) -> str | None:
     """The text of a plate file without a slip; None where the file lacks what is to be changed.
 
-    None too of a list that is changed and whose rows are numbered elsewhere in the file.
+    None too of a value that stands elsewhere than on the line of its key, and of a list that is changed and
+    whose rows are numbered elsewhere in the file.
     """
     source = Path(specimen.source)
     if not source.is_file():
@@ -395,4 +396,9 @@ def corrected_file(specimen: Specimen, slip: Slip) -> str | None:
     if _COMPLETE in slip.edits and _COMPLETE not in lines:
         start = begin[lines[_LISTED] - 1]
         text = f"{text[:start]}complete = false\n{text[start:]}"
-    return text
+    try:
+        content = tomllib.loads(text)
+        is_edited = all(content[table][key] == value for (table, key), value in slip.edits.items())
+    except (tomllib.TOMLDecodeError, KeyError):
+        return None
+    return text if is_edited else None

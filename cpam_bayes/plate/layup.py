@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final, NoReturn
 
@@ -147,11 +147,7 @@ class Layup:
                 f"unknown angles of {self.text}: received shape {np.shape(unknown_deg)}, "
                 f"accepted: ({self.n_unknown},)"
             )
-        known = from_angles(angles.tolist())
-        if not self.kinds:
-            return known
-        named = "/".join(_format_ply(a, 1, k.name) for a, k in zip(known.angles_deg, self.kinds, strict=True))
-        return replace(known, text=f"[{named}]", kinds=self.kinds)
+        return from_angles(angles.tolist(), self.kinds)
 
 
 def parse_layup(text: str, kinds: Mapping[str, PlyKind] = MappingProxyType({})) -> Layup:
@@ -169,8 +165,8 @@ def parse_layup(text: str, kinds: Mapping[str, PlyKind] = MappingProxyType({})) 
     return _Reader(text, kinds).layup()
 
 
-def from_angles(angles_deg: Sequence[float]) -> Layup:
-    """The layup of known angles, bottom to top, (n_plies,) degrees.
+def from_angles(angles_deg: Sequence[float], kinds: tuple[PlyKind, ...] = ()) -> Layup:
+    """The layup of known angles, bottom to top, (n_plies,) degrees; kinds : as in `Layup`.
 
     raises ValueError for no plies, too many, or an angle outside [-90, 90]
     """
@@ -180,7 +176,9 @@ def from_angles(angles_deg: Sequence[float]) -> Layup:
         if not -90.0 <= angle <= 90.0:
             raise ValueError(f"ply angle: received {angle}, accepted: -90 to 90 degrees")
     angles = [_normalised(float(angle)) for angle in angles_deg]
-    return Layup(format_angles(angles), np.array(angles), np.full(len(angles), -1))
+    named = "/".join(_format_ply(a, 1, kind.name) for a, kind in zip(angles, kinds, strict=False))
+    text = f"[{named}]" if kinds else format_angles(angles)
+    return Layup(text, np.array(angles), np.full(len(angles), -1), kinds)
 
 
 def format_angles(angles_deg: Sequence[float]) -> str:

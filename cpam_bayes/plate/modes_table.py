@@ -86,8 +86,8 @@ _NUMBER: Final = re.compile(
     r"|\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?) ?(hz|khz|%)?",
     re.IGNORECASE,
 )
-# As many digits after a mark as thousands have.
 _BESIDE: Final = re.compile(r"[ \t]*[;\t][ \t]*| +(?!k?hz)", re.IGNORECASE)
+# As many digits after a mark as thousands have.
 _THOUSANDS: Final = re.compile(r"[1-9]\d{0,2}[.,]\d{3}")
 ASTRAY: Final = 1.2
 """Hits further than this factor from the median of their mode are misread, or of another mode."""

@@ -296,8 +296,11 @@ _KEY_END = re.compile(r"[=,{}\[\]#\n]")
 _PLACE = re.compile(r"\s*\(at (?:line (\d+), column (\d+)|end of document)\)$")
 
 
-def parse(text: str, source: str) -> Mapping[str, Any]:
-    """The content of a TOML text; raises PlateFileError with the line of what is no TOML."""
+def parse(text: str, source: str, is_sealed: bool = False) -> Mapping[str, Any]:
+    """The content of a TOML text; raises PlateFileError with the line of what is no TOML.
+
+    is_sealed : nothing of the text is shown
+    """
     for number, line in enumerate(text.split("\n"), start=1):
         if line.count(".") > _MAX_KEY_PARTS:
             parts = max(part.count(".") for part in _KEY_END.split(line.partition("#")[0]))
@@ -305,7 +308,7 @@ def parse(text: str, source: str) -> Mapping[str, Any]:
                 raise PlateFileError(
                     f"{source}:{number}: file: a key of {parts + 1} parts, accepted: up to {_MAX_KEY_PARTS}"
                 )
-    commas = _DECIMAL_COMMAS.search(text)
+    commas = None if is_sealed else _DECIMAL_COMMAS.search(text)
     if commas:
         at = text.count("\n", 0, commas.start()) + 1
         raise PlateFileError(
@@ -316,7 +319,7 @@ def parse(text: str, source: str) -> Mapping[str, Any]:
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise PlateFileError(_not_toml(str(error), text, source)) from None
+        raise PlateFileError(_not_toml(str(error), text, source, is_sealed)) from None
     except RecursionError:
         raise PlateFileError(f"{source}:1: file: arrays or tables nested too deeply") from None
     except ValueError as error:
@@ -331,10 +334,20 @@ _DECIMAL_COMMAS: Final = re.compile(
 _SLIPS: Final = (
     (re.compile(r"^[^\"'#]*([\"'])(?:(?!\1).)*$"), "; a quote is missing: a text begins and ends with one"),
     (re.compile(r"=\s*(\d{1,2}\.\d{1,2}\.\d{2,4})\b"), r'; a date stands in quotes: "\1"'),
-    (re.compile(r"=\s*\[\s*([\d.]+) ?([A-Za-z%]+)"), r"; the unit is in the key: \1, not \1 \2"),
+    (
+        re.compile(r"=\s*\[\s*([\d.]+) ?(?![eE][+-]?\d)([A-Za-z%]+)"),
+        r"; the unit is in the key: \1, not \1 \2",
+    ),
     (re.compile(r"=\s*\[\s*([\d.]+)\s*-\s*([\d.]+)\s*\]"), r"; a comma stands between two ends: [\1, \2]"),
     (
-        re.compile(r"=\s*\[[^\]\"']*?([\d.]*\d)\s*(?:;\s*|\s)(-?\d[\d.]*)"),
+        re.compile(r"=\s*\[(?=[^\]\"']*(?:;|\d\s+[+-]?\d))[^\]\"']*?(?<![\w.,])([+-]?\d+),(\d+)(?![\w.,])"),
+        r"; a decimal point, not a comma: \1.\2",
+    ),
+    (
+        re.compile(
+            r"=\s*\[[^\]\"']*?(?<![\w.,+-])(-?[\d.]*\d(?:[eE][+-]?\d+)?)\s*(?:;\s*|\s)"
+            r"(-?\d[\d.]*(?:[eE][+-]?\d+)?)(?![\w.]*,\d)"
+        ),
         r"; commas part the numbers of a list: \1, \2",
     ),
     (re.compile(r"=\s*[({]?\s*\d+(?:\.\d+|,\d+)?\s*,\s"), "; a list stands in [ ]"),
@@ -350,7 +363,7 @@ _SLIPS: Final = (
         "; a key has no spaces and = stands after it",
     ),
     (
-        re.compile(r"=\s*([+-]?\d[\d.]*)\s*([A-Za-z°%]+)"),
+        re.compile(r"=\s*([+-]?\d[\d.]*)\s*(?![eE][+-]?\d)([A-Za-z°%]+)"),
         r'; the unit is in the key, or a text in quotes: "\1 \2"',
     ),
     (
@@ -374,13 +387,15 @@ _TOLD: Final = (
 )
 
 
-def _not_toml(message: str, text: str, source: str) -> str:
+def _not_toml(message: str, text: str, source: str, is_sealed: bool) -> str:
     place = _PLACE.search(message)
     what = _PLACE.sub("", message)
     if place is not None and place.group(1):
         line, where = int(place.group(1)), f" at column {place.group(2)}"
     else:
         line, where = text.rstrip().count("\n") + 1, " at the end of the file"
+    if is_sealed:
+        return f"{source}:{line}: file: not valid TOML"
     shown = text.split("\n")[line - 1].strip() if line <= text.count("\n") + 1 else ""
     quoted = "".join(c if c.isprintable() else " " for c in shown[:60])
     slips = (*((slip, said, shown) for slip, said in _SLIPS), *((slip, said, what) for slip, said in _TOLD))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import shlex
 import sys
 import tomllib
@@ -86,6 +87,9 @@ MATERIALS: Final[Mapping[str, TypicalMaterial]] = {
 }
 """Materials by the name that the command takes."""
 _FIRST_MATERIAL: Final = next(iter(MATERIALS))
+# Bounds that do not hold a constant of the data sheet are widened to so much of it on its side: two standard
+# deviations of the usual prior; of an isotropic material Poisson's ratio stays below one half.
+_ROOM, _LARGEST_NU = 0.5, 0.495
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +216,22 @@ def _stated_lines(
             _line(key, value, typical, "of the data sheet")
             for (key, typical), value in zip(material.constants.items(), given, strict=True)
         ),
-    ), tuple(_line(key, list(pair), [], "") for key, pair in material.bounds.items())
+    ), tuple(
+        _bounds_line(key, pair, value, material.symmetry)
+        for (key, pair), value in zip(material.bounds.items(), given, strict=True)
+    )
+
+
+def _bounds_line(key: str, pair: tuple[float, float], value: float | None, symmetry: str) -> str:
+    """The bounds of a constant, wider where that of the data sheet is not between them."""
+    lower, upper = pair
+    if value is None or lower < value < upper:
+        return _line(key, list(pair), [], "")
+    largest = _LARGEST_NU if symmetry == "isotropic" and key == "nu12" else math.inf
+    wider = [min(lower, (1.0 - _ROOM) * value), max(upper, min((1.0 + _ROOM) * value, largest))]
+    return _line(
+        key, [float(f"{bound:.3g}") for bound in wider], [], "wider than usual: holds the data sheet"
+    )
 
 
 def _line(key: str, value: object, example: object, comment: str) -> str:

@@ -631,6 +631,14 @@ def _double_hits(facts: Facts) -> str:
     )
 
 
+def _short_hits(facts: Facts) -> str:
+    short = [f"{length:.2g} s from {start:.2f} s of {file} on" for file, start, length in facts["short"]]
+    return (
+        f"Less than half as long as a hit, and left out: {listed(short, 'and')}. Clicks are, as of a stop "
+        "button, and hits that another one or the end of the record cuts short."
+    )
+
+
 def _ringing_sensor(facts: Facts) -> str:
     return (
         f"{_percent(facts['share'])} of the power of channel {facts['channel']} is a tone at "
@@ -783,6 +791,7 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "drifting_modes": _drifting_modes,
     "unlike_hit": _unlike_hit,
     "double_hits": _double_hits,
+    "short_hits": _short_hits,
     "ringing_sensor": _ringing_sensor,
     "left_out_peaks": _left_out_peaks,
     "clipped_files": _clipped_files,

@@ -14,6 +14,7 @@ import pytest
 import cpam_bayes as cb
 from cpam_bayes.diagnosis.slips import Slip, corrected_file, explaining_slips
 from tests.batches.plates import N_MODES, plate
+from tests.hybrids import hybrid
 
 NOISE = 0.001
 PLATE: dict[str, Any] = {
@@ -186,3 +187,31 @@ def test_a_missed_mode_makes_the_list_incomplete(tmp_path: Path) -> None:
     path.write_text("[measurement]\nfrequencies_hz = [1.0, 2.0, 3.0]\nleft_out = [3]\n", encoding="utf-8")
     fewer = replace(slip, edits={("measurement", "frequencies_hz"): [1.0]})
     assert corrected_file(specimen, fewer) is None, "left_out would number another row of the shorter list"
+
+
+def test_what_cannot_be_edited_is_not_written(tmp_path: Path) -> None:
+    path = tmp_path / "p.toml"
+    specimen = replace(cb.read_plate(stated(listed(11))), source=str(path))
+    path.write_text("[measurement]\nfrequencies_hz = [1.0,  # hit [1]\n 2.0]\n", encoding="utf-8")
+    fewer = Slip("false", 2, 2.0, specimen, {("measurement", "frequencies_hz"): [1.0]})
+    assert corrected_file(specimen, fewer) == "[measurement]\nfrequencies_hz = [1.0]\n"
+    path.write_text("plate = {length_mm = 2.0, width_mm = 1.0}\n", encoding="utf-8")
+    sides = Slip("sides", 0, 0.0, specimen, {("plate", "length_mm"): 1.0, ("plate", "width_mm"): 2.0})
+    assert corrected_file(specimen, sides) is None
+
+
+def test_a_turned_layup_keeps_the_names_of_its_plies() -> None:
+    plies = [{"name": "thick", "thickness_mm": 1.0}, {"name": "thin", "thickness_mm": 0.55}]
+    true = {**PLATE, "ply": plies, "plate": {**PLATE["plate"], "edges": "CFFF", "layup": "[thick0/thin45]_s"}}
+    f = cb.forward(true, 10).frequencies.tolist()
+    turned = stated(f, edges="CFFF", layup="[thick90/thin-45]_s")
+    (slip,) = explaining_slips(cb.read_plate({**turned, "ply": plies}))
+    assert slip.edits == {("plate", "layup"): "[thick0/thin45/thin45/thick0]"}
+
+
+def test_nothing_is_tried_of_several_materials() -> None:
+    f = cb.forward(hybrid(edges="CFFF"), 8).frequencies.tolist()
+    measured = {"frequencies_hz": f, "relative_std": NOISE}
+    file = {**hybrid(edges="CFFF", layup="[c90_2/g-45/g45/c0]_s"), "measurement": measured}
+    specimen = cb.read_plate({**file, "unknowns": {"carbon": {"E1_GPa": [80.0, 200.0]}}})
+    assert explaining_slips(specimen) == ()

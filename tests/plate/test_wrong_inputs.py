@@ -10,6 +10,7 @@ import numpy as np
 import openpyxl
 import pytest
 
+from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.reader import read_plate
 from tests.plate_file import Run, described, refused
@@ -194,6 +195,10 @@ REFUSED = [
     (LIST, "[80.2; 146.3; 218.6]", "commas part the numbers of a list"),
     (LIST, "(80.2, 146.3)", "a list stands in [ ]"),
     (LIST, "80.2, 146.3, 218.6", "a list stands in [ ]"),
+    (LIST, "[80,2; 146,3]", "a decimal point, not a comma: 80.2"),
+    (LIST, "[80; 146,3]", "a decimal point, not a comma: 146.3"),
+    (LIST, "[-12.5; 3]", "commas part the numbers of a list: -12.5, 3"),
+    (LIST, "[1e2; 2e2]", "commas part the numbers of a list: 1e2, 2e2"),
     (LIST, "[80.2, 146.3", "is a ] missing"),
     (LIST, "[0, 0, 0, 0, 0, 0, 80.2, 146.3]", "no rigid-body motion; so are 5 more items"),
     (LIST, "[80.2, -146.3, 218.6]", "item 2: out of range, received -146.3, accepted: a number above 0"),
@@ -267,6 +272,12 @@ def test_a_slip_is_one_message_with_its_cure(run: Run, tmp_path, good: str, writ
     refused(answer, said)
     assert re.match(rf"error: {re.escape(str(path))}:\d+: ", answer[2])
     assert len(answer[2]) < 600 + len(str(path))
+
+
+def test_no_cure_has_a_part_of_a_number(tmp_path) -> None:
+    with pytest.raises(PlateFileError, match="not valid TOML") as refusal:
+        read(tmp_path, GOOD.replace(LIST, "[80,5,2 146,3]"))
+    assert "2, 146" not in str(refusal.value)
 
 
 @pytest.mark.parametrize(("name", "content", "said"), FILES)

@@ -48,6 +48,26 @@ def test_a_file_of_a_plate_that_is_known_is_read_as_it_is(run, tmp_path, materia
     assert "ten places" not in path.read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(
+    ("material", "constants", "bounds"),
+    [
+        ("carbon", (300.0, 9.1, 0.31, 4.8), {"E1_GPa": [60.0, 450.0], "E2_GPa": [4.0, 16.0]}),
+        ("carbon", (132.0, 3.0, 0.31, 4.8), {"E1_GPa": [60.0, 250.0], "E2_GPa": [1.5, 16.0]}),
+        ("metal", (69.0, 0.46), {"nu12": [0.15, 0.495]}),
+    ],
+)
+def test_bounds_hold_the_constants_of_the_data_sheet(tmp_path, material, constants, bounds):
+    path = tmp_path / "p.toml"
+    text = cb.new(
+        path, size_mm=(310, 228, 3), mass_g=340, layup=None if material == "metal" else "[0_8]", edges="FFFF",
+        material=material, constants=constants, frequencies_hz=(80, 146),
+    ).text  # fmt: skip
+    unknowns = tomllib.loads(text)["unknowns"]
+    assert {key: unknowns[key] for key in bounds} == bounds
+    assert text.count("wider than usual") == 1
+    cb.read_plate(path)
+
+
 def test_where_to_hold_and_to_hit_is_said_as_soon_as_the_plate_is_known(tmp_path):
     known = cb.new(tmp_path / "known.toml", size_mm=(300, 200, 3), mass_g=486, **ALUMINIUM)
     assert known.handling is not None

@@ -453,6 +453,33 @@ def test_what_follows_a_second_stroke_is_the_free_decay(tmp_path: Path) -> None:
     assert "double_hits" not in codes(once)
 
 
+@pytest.mark.parametrize("height", [0.4, 0.22])
+def test_a_late_click_is_no_hit_and_shortens_none(tmp_path: Path, height: float) -> None:
+    records = recorded_hits(np.random.default_rng(5), PLATE, DAMPED, 3)
+    at, lasts = int(1.42 * RATE_OF_HITS), RATE_OF_HITS // 1000
+    click = height * np.abs(records[1]).max() * np.array([1.0, -1.0] * (lasts // 2))
+    records[1][at : at + lasts] += click.astype(np.int16)
+    result = of_hits(tmp_path, records)
+    assert result.test.responses.step == pytest.approx(1.0 / 1.41, rel=0.01)
+    assert [len(each.frf) for each in result.test.responses.each_hit] == [1, 1, 1]
+    assert "double_hits" not in codes(result)
+    (left,) = next(notice.facts["short"] for notice in result.notices if notice.code == "short_hits")
+    assert left == ("hit_1.wav", pytest.approx(1.42, abs=0.005), pytest.approx(0.08, abs=0.005))
+    assert_found(result, 0.003)
+
+
+def test_a_force_through_an_ac_coupling_has_its_lines(tmp_path: Path) -> None:
+    decay = recorded_hits(np.random.default_rng(5), PLATE, DAMPED, 1)[0].astype(float)
+    t = np.arange(len(decay)) / RATE_OF_HITS
+    pulse = np.exp(-0.5 * ((t - 0.01) / 2e-4) ** 2)
+    # a high pass of first order at 1 Hz: what lies below is taken from the pulse
+    below = 2.0 * np.pi / RATE_OF_HITS * np.convolve(pulse, np.exp(-2.0 * np.pi * t))[: len(t)]
+    channels = np.stack((2e4 * (pulse - below), decay), axis=1).astype(np.int16)
+    wavfile.write(tmp_path / "coupled.wav", RATE_OF_HITS, channels)
+    responses = cb.poles(tmp_path / "coupled.wav", force=1).test.responses
+    assert responses.frequencies[-1] > PLATE[-1]
+
+
 def test_double_hits_are_numbered_and_what_shows_in_them_alone_is_of_the_second_hit(tmp_path: Path) -> None:
     faults = Faults(second_stroke=0.045, twice=1.0 / 3.0)
     result = of_hits(tmp_path, recorded_hits(np.random.default_rng(5), PLATE, DAMPED, 3, faults))

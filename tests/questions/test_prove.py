@@ -156,6 +156,10 @@ def test_a_seal_that_is_refused_is_not_given_away(lists: tuple[Path, str, str, s
     with pytest.raises(PlateFileError) as refusal:
         cb.prove(plate, coin, sealed=tmp_path / "seal.toml")
     assert not {"7.25", "999"} & set(str(refusal.value).split())
+    (tmp_path / "torn.toml").write_text("[[coin]]\nmass_g = 5,1\nx_mm = 9\ny_mm = 3\n", encoding="utf-8")
+    with pytest.raises(PlateFileError) as refusal:
+        cb.prove(plate, coin, sealed=tmp_path / "torn.toml")
+    assert str(refusal.value).endswith("torn.toml:2: file: not valid TOML")
     with pytest.raises(PlateFileError, match="no such file, accepted: a sealed file"):
         cb.prove(plate, coin, sealed=tmp_path / "none.toml")
     with pytest.raises(

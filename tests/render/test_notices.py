@@ -115,6 +115,7 @@ FACTS: dict[str, dict[str, object]] = {
     "drifting_modes": {"frequencies": (100.0,), "limit": 0.005},
     "unlike_hit": {"hit": 3, "shift": -0.004},
     "double_hits": {"hits": (1, 3), "of": 3},
+    "short_hits": {"short": (("hit_1.wav", 1.42, 0.08),)},
     "left_out_peaks": {"peaks": (430.4,)},
     "ringing_sensor": {"channel": 2, "frequency": 8300.0, "share": 0.93},
     "clipped_files": {"files": ("h1.wav",)},

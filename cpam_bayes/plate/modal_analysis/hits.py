@@ -91,10 +91,10 @@ _BLOCK: Final = 0.002
 _SHORTER: Final = 5.0
 # A second stroke is this many times the loudest of so many blocks before it, and this part of the first.
 _JUMP, _BLOCKS_APART, _OF_STROKE = 3.0, 5, 0.1
-# The end of a record, as a fraction, and the least part of its power, and of the
-# largest value, that a steady tone has there.
 MAINS: Final = (50.0, 60.0)
 """Frequencies of the mains, Hz."""
+# The end of a record, as a fraction, and the least part of its power, and of the
+# largest value, that a steady tone has there.
 _TAIL, _OF_POWER, _OF_PEAK = 0.25, 0.5, 0.03
 _LEAST_TAIL: Final = 0.2
 _MULTIPLES: Final = np.arange(1.0, 6.0)
@@ -206,6 +206,8 @@ WINDOWS: Final[tuple[Window, ...]] = ("none", "exponential")
 _END: Final = 0.01
 # A hit begins where the signal passes this fraction of its largest value, for the first time in so many s.
 _ONSET, _APART, _BEFORE = 0.3, 0.25, 0.002
+# What is shorter than this part of the others, or of its hit, is no hit or decay of its own.
+_LONG_ENOUGH: Final = 0.5
 # The range of a test ends where the spectrum of the force has fallen to this fraction of its largest value.
 _FORCE_LEFT: Final = 0.1
 # Spectra of decays end this much above their last line that stands above noise.
@@ -228,19 +230,27 @@ class Recording:
     force : (n,) or None where it was not recorded
     responses : (n_responses, n)
     numbers : of the channels of the file, from 1, that of the force first
+    name : of the file
     """
 
     rate: float
     force: Array | None
     responses: Array
     numbers: tuple[int, ...]
+    name: str
 
 
 class _Hit(NamedTuple):
-    """A hit: channels (1 + n_responses, n), or (n_responses, n) without force; whether double."""
+    """A hit: channels (1 + n_responses, n), or (n_responses, n) without force; whether double.
+
+    start : in its file, s. late : (start, length), s, of what was cut off as too short for a hit
+    """
 
     channels: Array
     is_double: bool
+    file: str
+    start: float
+    late: tuple[tuple[float, float], ...]
 
 
 def responses_of_hits(
@@ -248,22 +258,26 @@ def responses_of_hits(
 ) -> FrequencyResponses:
     """Responses over force of every hit, H = conj(F) X / |F|^2; without it, spectra of decays.
 
-    Each hit begins where its force, or its largest response, rises. All hits have the length of the shortest.
+    Each hit begins where its force, or its largest response, rises. All hits have the length of the shortest,
+    once those of less than half the median length are left out.
     Spectra end at ``high``, Hz, or where the force has fallen to a tenth, or a quarter above the last line of
     a decay that stands above its noise.
 
     Raises ``ModalTestError`` where there is no hit, hits are too short, or the force is no hit's.
     """
-    every = [hit for one in recordings for hit in _hits(one)]
-    hits, twice = [hit.channels for hit in every], tuple(hit.is_double for hit in every)
-    if not hits:
+    cut = [hit for one in recordings for hit in _hits(one)]
+    if not cut:
         raise ModalTestError("no hit, accepted: a record in which force or response rises above its noise")
-    rate, n = recordings[0].rate, min(len(hit[0]) for hit in hits)
+    rate, least = recordings[0].rate, _LONG_ENOUGH * np.median([hit.channels.shape[1] for hit in cut])
+    every = [hit for hit in cut if hit.channels.shape[1] >= least]
+    hits, twice = [hit.channels for hit in every], tuple(hit.is_double for hit in every)
+    n = min(len(hit[0]) for hit in hits)
     decay = -np.log(_END) * rate / n if window == "exponential" else 0.0
     weight = np.exp(-decay * np.arange(n) / rate)
     spectra = np.stack([np.fft.rfft(hit[:, :n] * weight, axis=1) for hit in hits])  # hits, channels, lines
     frequencies = np.fft.rfftfreq(n, 1.0 / rate)
-    has_force, notices = recordings[0].force is not None, _hums(recordings)
+    has_force = recordings[0].force is not None
+    notices = (*_hums(recordings), *_too_short(cut, rate, least))
     if any(twice):
         numbers = tuple(number for number, is_double in enumerate(twice, 1) if is_double)
         notices += (Notice("double_hits", facts={"hits": numbers, "of": len(hits)}),)
@@ -274,6 +288,7 @@ def responses_of_hits(
         each = np.maximum(np.abs(force) ** 2, np.finfo(float).tiny)
         frf = (force.conj() * response / each).reshape(-1, len(frequencies))
         fallen = np.flatnonzero(power[0] < _FORCE_LEFT**2 * power[0].max())
+        fallen = fallen[fallen > np.argmax(power[0])]  # an AC coupling leaves little at 0 Hz
         end = int(fallen[0]) if high is None and len(fallen) else len(frequencies)
     else:
         frf = spectra.reshape(-1, len(frequencies))
@@ -339,6 +354,15 @@ def _hums(recordings: Sequence[Recording]) -> tuple[Notice, ...]:
     return each_once(notice for one in recordings for notice in hum_notices(one.rate, one.responses))
 
 
+def _too_short(cut: Sequence[_Hit], rate: float, least: float) -> tuple[Notice, ...]:
+    """What was left out, of fewer samples than ``least`` or late in a hit: file, start and length, s."""
+    short = [
+        (hit.file, hit.start, hit.channels.shape[1] / rate) for hit in cut if hit.channels.shape[1] < least
+    ]
+    short += [(hit.file, *late) for hit in cut for late in hit.late]
+    return (Notice("short_hits", facts={"short": tuple(sorted(short))}),) if short else ()
+
+
 def _hits(recording: Recording) -> list[_Hit]:
     """The channels from each hit to the next; without force a double one from its second stroke on."""
     force, responses = recording.force, recording.responses
@@ -354,13 +378,23 @@ def _hits(recording: Recording) -> list[_Hit]:
         )
     starts = np.maximum(first - int(_BEFORE * recording.rate), 0)
     ends = np.append(starts[1:], channels.shape[1])
-    hits = [
-        channels[:, start:end] - np.median(channels[:, start:end], axis=1, keepdims=True)
-        for start, end in zip(starts, ends, strict=True)
-    ]
-    second = [_second_stroke(hit if force is None else hit[:1], recording.rate) for hit in hits]
-    # what rings after the last of several strokes is a free decay
-    return [_Hit(hit[:, at:] if force is None else hit, at > 0) for hit, at in zip(hits, second, strict=True)]
+    hits = []
+    for start, end in zip(starts, ends, strict=True):
+        hit = channels[:, start:end] - np.median(channels[:, start:end], axis=1, keepdims=True)
+        begin, late, at = (
+            start / recording.rate,
+            [],
+            _second_stroke(hit if force is None else hit[:1], recording.rate),
+        )
+        if force is None:
+            # what rings after the last of several strokes is a free decay, where enough of it is left
+            while at > (1.0 - _LONG_ENOUGH) * hit.shape[1]:
+                late.append((begin + at / recording.rate, (hit.shape[1] - at) / recording.rate))
+                hit = hit[:, :at]
+                at = _second_stroke(hit, recording.rate)
+        decay = hit[:, at:] if force is None else hit
+        hits.append(_Hit(decay, at > 0, recording.name, begin, tuple(late)))
+    return hits
 
 
 def _second_stroke(hit: Array, rate: float) -> int:

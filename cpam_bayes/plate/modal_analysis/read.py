@@ -281,5 +281,5 @@ def _recording(name: str, force: int | None, response: Sequence[int]) -> Recordi
     for channel in wanted:
         require_unclipped(name, channel, channels[channel - 1])
     if force is None:
-        return Recording(float(rate), None, signals, wanted)
-    return Recording(float(rate), signals[0], signals[1:], wanted)
+        return Recording(float(rate), None, signals, wanted, Path(name).name)
+    return Recording(float(rate), signals[0], signals[1:], wanted, Path(name).name)

@@ -109,7 +109,7 @@ def seal_of(
         return (), ""
     source = os.fspath(sealed)
     content = _content(source, "a sealed file")
-    coins = parse(decode(content, source), source).get("coin")
+    coins = parse(decode(content, source), source, is_sealed=True).get("coin")
     if not isinstance(coins, list) or len(coins) != n:
         count = len(coins) if isinstance(coins, list) else 0
         raise PlateFileError(
