@@ -187,7 +187,7 @@ def test_constants_of_the_first_sequence_are_sampled_when_time_is_up(
 ) -> None:
     from cpam_bayes.questions import sequence as module
 
-    plate = listed("[?/?]_s", STEP, TRUE, 0.05)
+    plate = listed("[?/?]_s", STEP, TRUE, 0.02)
     whole = cb.sequence(plate, seed=0)
     sample_mixture = module.sample_mixture
 

@@ -178,12 +178,13 @@ def test_what_would_be_good_with_more_noise_leads_to_a_truth_that_few_sequences_
     training = training_problem(problem, problem.sums)
     found = []
     for start in (seeds, None):
-        for seed in (0, 1):
+        for seed in range(3):
             best = train(training, np.random.default_rng(seed), lambda text: None, start)
             first = best.data.sequences[best.data.log_evidence.argmax()]
             found.append(bool(np.any(np.all(true == first, axis=1))))
-    # of 5832 sequences 180 are looked at; of the first five seeds three are led to the truth, by luck none is
-    assert found == [True, True, False, False]
+    # of 5832 sequences 180 are looked at; of the first six seeds three are led to the truth, by luck two are
+    assert found[:3] == [True, True, True]
+    assert sum(found[3:]) <= 1
     noisy = stacking_problem(listed(layup, step, truth), 0, settings=settings)
     assert noisier_seeds(noisy, problem.sums, np.random.default_rng(0), lambda text: None) is None
 
