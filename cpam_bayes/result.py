@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.answer import Notice, as_written, each_once
+from cpam_bayes.answer import Notice, each_once
 from cpam_bayes.errors import checked
 from cpam_bayes.fingerprint import fingerprint
 from cpam_bayes.plate import Specimen
@@ -220,9 +220,8 @@ class PlateResult(Result):
 
     def __post_init__(self) -> None:
         measurement = self.specimen.measurement
-        if measurement is not None and measurement.remarks:
-            notices = each_once((*self.notices, *as_written(measurement.remarks)))
-            object.__setattr__(self, "notices", notices)
+        if measurement is not None and measurement.notices:
+            object.__setattr__(self, "notices", each_once((*self.notices, *measurement.notices)))
 
     @property
     def title(self) -> str:

@@ -15,6 +15,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cpam_bayes.answer import Notice, as_written
 from cpam_bayes.formatting import listed
 from cpam_bayes.parameters import ParameterSet, read_only
 from cpam_bayes.plate.laminate import (
@@ -387,6 +388,11 @@ class Measurement:
             object.__setattr__(self, "frequency_sd", read_only(self.frequency_sd))
         if self.damping is not None:
             object.__setattr__(self, "damping", read_only(self.damping))
+
+    @property
+    def notices(self) -> tuple[Notice, ...]:
+        """What reading it left doubtful, and what is to be said of hits."""
+        return (*as_written(self.remarks), *(() if self.test is None else self.test.notices))
 
     @property
     def loss_factors(self) -> NDArray[np.float64] | None:

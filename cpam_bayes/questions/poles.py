@@ -25,7 +25,13 @@ from cpam_bayes.plate.modal_analysis.hits import (
     peaks_of,
     relative_power,
 )
-from cpam_bayes.plate.modal_analysis.peaks import LEAST_ORDER, MOST_ORDER, ModalTest, modal_test
+from cpam_bayes.plate.modal_analysis.peaks import (
+    LEAST_ORDER,
+    MOST_ORDER,
+    ModalTest,
+    hit_notices,
+    modal_test,
+)
 from cpam_bayes.render.report import (
     COMPUTATION,
     Column,
@@ -49,10 +55,6 @@ _FIRST_PEAK: Final = 3
 _PEAK: Final = 3.0
 # Modes closer than this many of their half widths together are told of, and a poor standard deviation.
 _CLOSE, _POOR = 2.0, 0.01
-# Modes that scatter by more than this part from hit to hit drift.
-_DRIFTING: Final = 0.005
-# A hit is unlike the others where it is shifted by more than so many times what is usual, and this part.
-_LEAST_HITS, _UNLIKE, _LEAST_SHIFT = 3, 8.0, 0.002
 _MOST_HZ: Final = 1e6
 _MOST_CHANNELS: Final = 256
 
@@ -214,26 +216,10 @@ def _notices(
     )
     if close:
         yield Notice("close_poles", facts={"pairs": close})
-    drifting = tuple(one.frequency for one in modes if one.scatter > _DRIFTING * one.frequency)
-    if drifting:
-        yield Notice("drifting_modes", facts={"frequencies": drifting, "limit": _DRIFTING})
-    yield from _unlike_hits(modes)
+    yield from hit_notices(modes)
     poor = tuple(one.frequency for one in modes if one.sd > _POOR * one.frequency)
     if poor:
         yield Notice("poor_poles", facts={"frequencies": poor, "limit": _POOR})
-
-
-def _unlike_hits(modes: Sequence[Pole]) -> Iterator[Notice]:
-    """Hits in which all frequencies lie to one side by more than the scatter of the others."""
-    if not modes or len(modes[0].each) < _LEAST_HITS:
-        return
-    f = np.array([one.each for one in modes])
-    middle = np.nanmedian(f, axis=1, keepdims=True)
-    shift = np.nanmedian(f / middle - 1.0, axis=0)
-    usual = float(np.median(np.abs(shift - np.median(shift))))
-    far = np.abs(shift - np.median(shift)) > max(_UNLIKE * usual, _LEAST_SHIFT)
-    for k in np.flatnonzero(far):
-        yield Notice("unlike_hit", facts={"hit": int(k) + 1, "shift": float(shift[k])})
 
 
 _COLUMNS: Final = (
@@ -298,7 +284,7 @@ def _present(result: PolesResult) -> Report:
             lines=(
                 f"From {test.responses.origin}; range {test.low:.5g} to {test.high:.5g} Hz, lines "
                 f"{test.responses.step:.4g} Hz apart.",
-                *((_CONTAINED,) if result.modes else ()),
+                *((_contained(result.modes),) if result.modes else ()),
             ),
             next_step=_NEXT if result.modes else "",
             slips=result.slips,
@@ -333,10 +319,16 @@ def _present(result: PolesResult) -> Report:
     )
 
 
-_CONTAINED: Final = (
-    "The standard deviations contain the noise and the scatter of hits. Not contained: how the plate hangs, "
-    "its temperature, where it is hit, and the mass of an accelerometer, which [[sensor]] states."
-)
+def _contained(modes: Sequence[Pole]) -> str:
+    """What the standard deviations contain: of one hit nothing of what changes between hits."""
+    of_hits = "the scatter from hit to hit"
+    contained, missing = ("", f"{of_hits}, ") if len(modes[0].each) <= 1 else (f" and {of_hits}", "")
+    return (
+        f"The standard deviations contain the noise{contained}. Not contained: {missing}how the plate hangs, "
+        "its temperature, where it is hit, and the mass of an accelerometer, which [[sensor]] states."
+    )
+
+
 _NEXT: Final = (
     f"--out DIR writes {TABLE} and the stability diagram; weight 0 leaves a mode out. In the plate file: "
     f'[measurement] table = "{TABLE}"'

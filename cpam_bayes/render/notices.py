@@ -622,12 +622,23 @@ def _unlike_hit(facts: Facts) -> str:
     )
 
 
-def _double_hits(facts: Facts) -> str:
-    numbers = listed([str(number) for number in facts["hits"]], "and")
-    hits = f"hit {numbers}" if len(facts["hits"]) == 1 else f"hits {numbers}"
+def _hits_apart(facts: Facts) -> str:
+    one = len(facts["hits"]) == 1
     return (
-        f"The hammer struck twice in {hits} of {facts['of']}, which makes ripples that look like modes. Of "
-        "free decays what follows the last stroke was used; hit these again."
+        f"{_hits(facts).capitalize()} of {facts['of']} {'has' if one else 'have'} few of the modes. "
+        f"{'Is it' if one else 'Are they all'} of this plate, held as in the others? Leave out what is not."
+    )
+
+
+def _hits(facts: Facts) -> str:
+    numbers = listed([str(number) for number in facts["hits"]], "and")
+    return f"hit {numbers}" if len(facts["hits"]) == 1 else f"hits {numbers}"
+
+
+def _double_hits(facts: Facts) -> str:
+    return (
+        f"The hammer struck twice in {_hits(facts)} of {facts['of']}, which makes ripples that look like "
+        "modes. Of free decays what follows the last stroke was used; hit these again."
     )
 
 
@@ -790,6 +801,7 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "poor_poles": _poor_poles,
     "drifting_modes": _drifting_modes,
     "unlike_hit": _unlike_hit,
+    "hits_apart": _hits_apart,
     "double_hits": _double_hits,
     "short_hits": _short_hits,
     "ringing_sensor": _ringing_sensor,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import warnings
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -521,6 +522,18 @@ def test_modes_that_drift_by_two_per_cent_are_one_each_and_are_named(tmp_path: P
     result = of_hits(tmp_path, records)
     assert_found(result, 0.02)
     assert "drifting_modes" in codes(result)
+
+
+@pytest.mark.parametrize(("others", "apart"), [(1, (5,)), (4, (1, 2, 3, 4, 5, 6, 7, 8))])
+def test_hits_that_share_few_modes_are_named_and_are_no_warning_of_python(
+    tmp_path: Path, others: int, apart: tuple[int, ...]
+) -> None:
+    rng = np.random.default_rng(8)
+    records = recorded_hits(rng, PLATE, DAMPED, 4) + recorded_hits(rng, 1.13 * PLATE, DAMPED, others)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result = of_hits(tmp_path, records)
+    assert [n.facts["hits"] for n in result.notices if n.code == "hits_apart"] == [apart]
 
 
 def test_a_clipped_file_is_left_out_and_a_hit_on_another_plate_is_named(tmp_path: Path) -> None:

@@ -57,6 +57,18 @@ def test_recordings_beside_a_plate_file_are_candidates_with_probabilities(
     assert measurement.damping == pytest.approx(0.006, rel=0.2)
 
 
+def test_a_hit_unlike_the_others_is_a_warning_of_every_answer_about_the_plate(
+    plate: Path, tmp_path: Path
+) -> None:
+    folder = shutil.copytree(plate.parent, tmp_path / "of two plates")
+    f = 1.01 * np.array([mode.frequency for mode in cb.forward(tomllib.loads(PLATE), n_modes=8).modes])
+    rng = np.random.default_rng(12)
+    wavfile.write(folder / "hits" / "3.wav", RATE, recorded_hits(rng, f, np.full(len(f), 0.006), 1)[0])
+    warnings = [n for n in cb.forward(folder / "plate.toml").notices if n.code == "unlike_hit"]
+    assert [n.facts["hit"] for n in warnings] == [4]
+    assert warnings[0].facts["shift"] == pytest.approx(0.01, rel=0.1)
+
+
 def test_recordings_are_read_once_and_again_when_they_change(plate: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(plate.parent, tmp_path / "copy") / plate.name
     first, again = (cb.read_plate(copy).measurement.test for _ in range(2))

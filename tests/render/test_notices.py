@@ -114,6 +114,7 @@ FACTS: dict[str, dict[str, object]] = {
     "poor_poles": {"frequencies": (100.0,), "limit": 0.01},
     "drifting_modes": {"frequencies": (100.0,), "limit": 0.005},
     "unlike_hit": {"hit": 3, "shift": -0.004},
+    "hits_apart": {"hits": (2, 5), "of": 5},
     "double_hits": {"hits": (1, 3), "of": 3},
     "short_hits": {"short": (("hit_1.wav", 1.42, 0.08),)},
     "left_out_peaks": {"peaks": (430.4,)},

@@ -6,7 +6,7 @@ recordings, or a table of peaks that other software found.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.answer import Notice
 from cpam_bayes.plate.modal_analysis.fit import (
     DEFAULT_ORDER,
     STANDS_OUT,
@@ -38,6 +39,7 @@ __all__ = [
     "ModalTest",
     "candidates_of",
     "false_peaks",
+    "hit_notices",
     "modal_test",
     "mode_probability",
 ]
@@ -51,6 +53,11 @@ MOST_ORDER: Final = 200
 _MOST_VALUES: Final = 2_000_000
 # Where the range begins, unless given: lines, and a fraction of its end or a frequency, the lower one.
 _FIRST_LINE, _FIRST_FRACTION, _FIRST_HZ = 10, 0.02, 20.0
+# Modes that scatter by more than this part from hit to hit drift.
+_DRIFTING: Final = 0.005
+# A hit is unlike the others where it is shifted by more than so many times what is usual, and this part; it
+# may be of another plate where it has at most this part of the modes.
+_LEAST_HITS, _UNLIKE, _LEAST_SHIFT, _FEW = 3, 8.0, 0.002, 0.6
 # No height makes a peak a mode, or none, for certain.
 _LEAST_PROBABILITY: Final = 0.02
 
@@ -83,6 +90,35 @@ class ModalTest:
         """The poles that were taken for something else."""
         return tuple(one for one in self.poles if one.taken is not Taken.MODE)
 
+    @property
+    def notices(self) -> tuple[Notice, ...]:
+        """What is to be said of the files and of the hits."""
+        return (*self.responses.notices, *hit_notices(self.modes))
+
+
+def hit_notices(modes: Sequence[Pole]) -> Iterator[Notice]:
+    """Modes that drift from hit to hit, hits that have few of the modes, and hits that are shifted."""
+    drifting = tuple(one.frequency for one in modes if one.scatter > _DRIFTING * one.frequency)
+    if drifting:
+        yield Notice("drifting_modes", facts={"frequencies": drifting, "limit": _DRIFTING})
+    if not modes or len(modes[0].each) < _LEAST_HITS:
+        return
+    f = np.array([one.each for one in modes])
+    shares_few = np.isfinite(f).mean(axis=0) <= _FEW
+    if shares_few.any():
+        hits = tuple(int(k) + 1 for k in np.flatnonzero(shares_few))
+        yield Notice("hits_apart", facts={"hits": hits, "of": f.shape[1]})
+    alike = np.flatnonzero(~shares_few)
+    if len(alike) < _LEAST_HITS:
+        return
+    f = f[:, alike]
+    f = f[np.isfinite(f).any(axis=1)]
+    shift = np.nanmedian(f / np.nanmedian(f, axis=1, keepdims=True) - 1.0, axis=0)
+    usual = float(np.median(np.abs(shift - np.median(shift))))
+    far = np.abs(shift - np.median(shift)) > max(_UNLIKE * usual, _LEAST_SHIFT)
+    for k in np.flatnonzero(far):
+        yield Notice("unlike_hit", facts={"hit": int(alike[k]) + 1, "shift": float(shift[k])})
+
 
 def modal_test(
     files: Sequence[str],
@@ -109,7 +145,10 @@ def modal_test(
     if low >= 0.0:
         low = max(low, float(responses.frequencies[0]))  # responses may begin above it
     if not 0.0 <= low < high:
-        raise ModalTestError(f"--range: received {low:g} to {high:g} Hz, accepted: within 0 to {last:g} Hz")
+        order_of_ends = "; the lower end comes first" if low > high else ""
+        raise ModalTestError(
+            f"--range: received {low:g} to {high:g} Hz, accepted: within 0 to {last:g} Hz{order_of_ends}"
+        )
     lines = int(np.sum((responses.frequencies >= low) & (responses.frequencies <= high)))
     if lines < 2 * order:
         raise ModalTestError(

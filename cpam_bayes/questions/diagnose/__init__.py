@@ -10,7 +10,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from cpam_bayes.answer import Constant, Notice, as_written, each_once
+from cpam_bayes.answer import Constant, Notice, each_once
 from cpam_bayes.command import EXECUTOR, TIME_LIMIT, WORKERS, Command, option, positive
 from cpam_bayes.diagnosis.cases import build_models, hypotheses_of, plate_case
 from cpam_bayes.diagnosis.comparison import PlateCase
@@ -174,16 +174,11 @@ def diagnose(
                 diagnosis, always=always, scatter=scatter, executor=pool, notify=announce
             )
     notices = (*_slips(diagnosis, specimens), *diagnosis_notices(diagnosis))
+    measurements = [s.measurement for s in specimens if s.measurement is not None]
     return replace(
         diagnosis_result(diagnosis, seed, scatter, candidates),
-        notices=each_once((*notices, *_remarks(specimens))),
+        notices=each_once((*notices, *(n for m in measurements for n in m.notices))),
     )
-
-
-def _remarks(specimens: Sequence[Specimen]) -> tuple[Notice, ...]:
-    """Doubts from reading the measurements."""
-    measurements = [s.measurement for s in specimens if s.measurement is not None]
-    return as_written(remark for m in measurements for remark in m.remarks)
 
 
 def _slips(diagnosis: Diagnosis, specimens: Sequence[Specimen]) -> tuple[Notice, ...]:
