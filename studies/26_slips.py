@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import cpam_bayes as cb
-from cpam_bayes.diagnosis.slips import GROSS
 from cpam_bayes.errors import PlateFileError
+from cpam_bayes.questions.identify.slips import GROSS
 from cpam_bayes.render.report import Heading, Table
 from cpam_bayes.render.terminal import screen_text
 from validation.independent.true_plate import Mass, Patch, TruePlate, natural_frequencies

@@ -13,8 +13,8 @@ from pydantic import Field
 from typing_extensions import TypedDict
 
 from cpam_bayes.answer import Verdict
-from cpam_bayes.diagnosis.slips import SlipKind
 from cpam_bayes.mechanics.modes import Kind
+from cpam_bayes.questions.identify.slips import SlipKind
 
 __all__ = [
     "Answer",

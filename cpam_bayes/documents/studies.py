@@ -9,7 +9,6 @@ from typing_extensions import TypedDict
 
 from cpam_bayes.answer import Verdict
 from cpam_bayes.diagnosis.hypotheses import Kind
-from cpam_bayes.diagnosis.slips import SlipKind
 from cpam_bayes.documents.constants import Convergence
 from cpam_bayes.documents.diagnosis import Size
 from cpam_bayes.documents.parts import (
@@ -37,6 +36,7 @@ from cpam_bayes.printed.noise_study import ListSource
 from cpam_bayes.printed.repetition import Cause, Interpretation
 from cpam_bayes.printed.tables import Agreement
 from cpam_bayes.questions.batch.result import BatchVerdict
+from cpam_bayes.questions.identify.slips import SlipKind
 from cpam_bayes.questions.paper.rows import Verdict as PaperVerdict
 
 __all__ = ["Batch", "Calibrate", "Compare", "Paper", "Sensitivity"]

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.answer import Constant, FrequencyRow, Notice, Reliance, Verdict
-from cpam_bayes.diagnosis.slips import Slip, corrected_texts, require_reachable_or_slip, with_slips
 from cpam_bayes.errors import checked
 from cpam_bayes.forward_model.known_errors import FREQUENCY_SCALE, ScaleError, absorbed
 from cpam_bayes.forward_model.labels import LabelledModel, ShapePairing, by_shape, list_order
@@ -63,6 +62,7 @@ from cpam_bayes.mechanics.modes import Mode
 from cpam_bayes.plate import Measurement, PlateLike, Specimen, read_plate, user_name
 from cpam_bayes.plate.laminate import flexural_constants
 from cpam_bayes.priors import Prior
+from cpam_bayes.questions.identify.slips import Slip, corrected_texts, require_reachable_or_slip, with_slips
 from cpam_bayes.result import PlateResult, within_time
 from cpam_bayes.running import SILENT, Watch, single_blas_thread
 

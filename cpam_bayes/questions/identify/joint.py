@@ -12,14 +12,6 @@ import numpy as np
 from cpam_bayes import __version__
 from cpam_bayes.answer import Constant, FrequencyRow, Notice
 from cpam_bayes.diagnosis.comparison import SCATTER
-from cpam_bayes.diagnosis.slips import (
-    GROSS,
-    Slip,
-    corrected_texts,
-    require_reachable_or_slip,
-    slip_records,
-    with_slips,
-)
 from cpam_bayes.formatting import listed, significant
 from cpam_bayes.forward_model.known_errors import sandwich_notices
 from cpam_bayes.forward_model.model import with_references
@@ -42,6 +34,14 @@ from cpam_bayes.identification.joint import (
 from cpam_bayes.identification.search import NO_MESH, required
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, user_name
+from cpam_bayes.questions.identify.slips import (
+    GROSS,
+    Slip,
+    corrected_texts,
+    require_reachable_or_slip,
+    slip_records,
+    with_slips,
+)
 from cpam_bayes.render.figures import PREDICTED, new_figure
 from cpam_bayes.render.report import (
     COMPUTATION,

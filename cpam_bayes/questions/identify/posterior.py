@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from cpam_bayes.answer import Constant, FrequencyRow
-from cpam_bayes.diagnosis.slips import slip_records
 from cpam_bayes.formatting import NOT_KNOWN, fixed, listed, signed, significant, with_spread
 from cpam_bayes.identification.point import BY_DATA, BY_PRIOR
 from cpam_bayes.inference.assessment import MOVED, Combination, MovedBound
 from cpam_bayes.inference.completeness import Profile
 from cpam_bayes.plate import to_user, user_name
 from cpam_bayes.questions.identify.emcee import Marginal, SampledResult
+from cpam_bayes.questions.identify.slips import slip_records
 from cpam_bayes.render.figures import extent_of, new_figure, shapes_figure
 from cpam_bayes.render.plate import assurance_drawings, assurance_sections, plate_section, shape_keys
 from cpam_bayes.render.posterior import Draws, marginals_figure, pairs_figure

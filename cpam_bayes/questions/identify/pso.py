@@ -11,13 +11,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, TypeVar, ove
 import numpy as np
 
 from cpam_bayes.answer import Constant, FrequencyRow, Notice, Verdict
-from cpam_bayes.diagnosis.slips import (
-    Slip,
-    corrected_texts,
-    require_reachable_or_slip,
-    slip_records,
-    with_slips,
-)
 from cpam_bayes.errors import checked
 from cpam_bayes.formatting import signed, significant
 from cpam_bayes.forward_model.labels import labelled_model
@@ -44,6 +37,13 @@ from cpam_bayes.inference.sampling import arviz_data, by_user_name, described
 from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings
 from cpam_bayes.plate import Measurement, PlateLike, Specimen, read_plate, to_user, unit_of, user_name
 from cpam_bayes.questions.identify.joint import JointResult, identify_jointly
+from cpam_bayes.questions.identify.slips import (
+    Slip,
+    corrected_texts,
+    require_reachable_or_slip,
+    slip_records,
+    with_slips,
+)
 from cpam_bayes.render.figures import PREDICTED, extent_of, new_figure, shapes_figure
 from cpam_bayes.render.plate import assurance_drawings, assurance_sections, plate_section, shape_keys
 from cpam_bayes.render.report import (

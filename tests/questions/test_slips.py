@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import cpam_bayes as cb
-from cpam_bayes.diagnosis.slips import Slip, corrected_file, explaining_slips
+from cpam_bayes.questions.identify.slips import Slip, corrected_file, explaining_slips
 from tests.batches.plates import N_MODES, plate
 from tests.hybrids import hybrid
 
