@@ -187,7 +187,8 @@ def open_browser() -> Iterator[Browser]:
     """A browser with one page, closed in the end."""
     from_us, to_browser = os.pipe()
     from_browser, to_us = os.pipe()
-    with tempfile.TemporaryDirectory() as profile:
+    # a process of the browser may still write into its profile when it has ended
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         ends = (str(from_us), str(to_us))
         process = subprocess.Popen(
             [sys.executable, "-c", _LAUNCH, *ends, PROGRAM, *_OPTIONS, f"--user-data-dir={profile}"],
