@@ -62,6 +62,12 @@ class Maxima:
     steps: int
 
 
+def promised_gain(gradient: Array, curvature: Array) -> Array:
+    """Gain, nats, that a full step promises, 1/2 g^T C^-1 g, of gradients (m, n) and curvatures (m, n, n)."""
+    step = np.linalg.solve(curvature, gradient[..., None])[..., 0]
+    return np.asarray(0.5 * np.einsum("ki,ki->k", gradient, step))
+
+
 def free_coordinates(u: Array, gradient: Array, lower: Array, upper: Array) -> Array:
     """Coordinates (m, n) that are not held by a bound against the gradient, bool."""
     return np.asarray(~(((u <= lower) & (gradient < 0)) | ((u >= upper) & (gradient > 0))))

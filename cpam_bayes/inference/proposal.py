@@ -25,7 +25,7 @@ from cpam_bayes.inference.derivatives import (
     coordinates,
     distinct,
 )
-from cpam_bayes.inference.laplace import Approximation, approximate, find_optima, maximise
+from cpam_bayes.inference.laplace import Approximation, approximate, find_optima, maximise, promised_gain
 from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.student_mixture import (
@@ -286,8 +286,7 @@ class Optima:
     @property
     def promise(self) -> Array:
         """Gain, nats, that one more step promises each, (k,)."""
-        step = np.linalg.solve(self.curvature, self.gradient[..., None])[..., 0]
-        return np.asarray(0.5 * np.einsum("ki,ki->k", self.gradient, step))
+        return promised_gain(self.gradient, self.curvature)
 
 
 def maximised(

@@ -19,7 +19,7 @@ from scipy.stats import qmc
 from cpam_bayes.forward_model.model import ForwardModel, PlateModel
 from cpam_bayes.forward_model.reduced import ReducedModel, focused
 from cpam_bayes.inference.derivatives import Expansion, NormalScores, expand_likelihood
-from cpam_bayes.inference.laplace import maximise
+from cpam_bayes.inference.laplace import maximise, promised_gain
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.student_mixture import Mixture, shrunk_moments, staged_importance
 from cpam_bayes.mechanics.problem import PlateState, StateFunction, Values
@@ -265,7 +265,7 @@ def _log_volume(curvature: Array) -> Array:
 def _stays_below(floor: float, e: Expansion) -> Array:
     """Whether Laplace's log evidence at the optimum stays below a floor, by far more than is promised."""
     matrix = e.curvature + CURVATURE_FLOOR * np.eye(e.gradient.shape[1])
-    promised = 0.5 * np.sum(e.gradient * np.linalg.solve(matrix, e.gradient[..., None])[..., 0], axis=1)
+    promised = promised_gain(e.gradient, matrix)
     return np.asarray(e.value + _UNFORESEEN * promised + _log_volume(e.curvature) < floor)
 
 

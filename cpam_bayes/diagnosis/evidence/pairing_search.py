@@ -31,7 +31,7 @@ from cpam_bayes.diagnosis.comparison import PlateCase, comparison_of
 from cpam_bayes.diagnosis.evidence.optima import SEARCH, coarse_misfit, prior_draws
 from cpam_bayes.diagnosis.hypotheses import NONE, Hypothesis
 from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion
-from cpam_bayes.inference.laplace import maximise
+from cpam_bayes.inference.laplace import maximise, promised_gain
 from cpam_bayes.inference.log_density import LogDensity, kept_of
 
 Array = NDArray[Any]
@@ -173,8 +173,7 @@ def _maximised(
     maxima = maximise(target, z, -bound, bound, most_steps=steps, promised=1e-2)
     e = maxima.expansion
     value = np.where(np.isfinite(e.value), e.value, -1e300)
-    step = np.linalg.solve(e.curvature, e.gradient[..., None])[..., 0]
-    return maxima.u, value, value + _OVERSHOOT * 0.5 * np.sum(e.gradient * step, axis=1)
+    return maxima.u, value, value + _OVERSHOOT * promised_gain(e.gradient, e.curvature)
 
 
 def _over_noise(plain: LogDensity, wide: LogDensity, z: Array, index: Array, mask: Array) -> Array:
