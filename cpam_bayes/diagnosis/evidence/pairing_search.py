@@ -38,8 +38,8 @@ Array = NDArray[Any]
 
 # Draws that each pairing is fitted from, those that go on, and the steps of both rounds.
 _FIRST, _FIRST_STEPS, _SECOND, _SECOND_STEPS = 5, 4, 2, 14
-# Log density, a factor on the best one and nats below that, under which a fit does not go on: with more noise
-# than in the first round it would still be far behind. A step gains at most so many times what it promises.
+# Log density, a factor on the best one and nats below that, under which a fit does not go on: with more of an
+# inferred noise it would still be far behind. A step gains at most so many times what it promises.
 _HOPELESS, _HOPELESS_NATS, _OVERSHOOT = 4.0, 50.0, 2.0
 # Scores of an inferred noise at which a fit is valued.
 _NOISE_SCORES = np.linspace(-2.5, 2.5, 9)
@@ -83,15 +83,11 @@ def repairings(
         starts.append(np.concatenate((known, draws[order[:_FIRST]])))
     s, n = starts[0].shape
     rows = np.repeat(np.arange(len(variants)), s)
-    z, value, within_reach = _maximised(
-        plain, wide, np.concatenate(starts), index[rows], mask[rows], _FIRST_STEPS
-    )
+    z, value = _maximised(plain, wide, np.concatenate(starts), index[rows], mask[rows], _FIRST_STEPS)
     order = np.argsort(-value.reshape(-1, s), axis=1, kind="stable")[:, :_SECOND]
     chosen = (order + s * np.arange(len(variants))[:, None]).ravel()
-    rows, z = rows[chosen], z[chosen]
-    go_on = within_reach[chosen] > _HOPELESS * value.max() - _HOPELESS_NATS
-    at = rows[go_on]
-    z[go_on] = _maximised(plain, wide, z[go_on], index[at], mask[at], _SECOND_STEPS)[0]
+    rows = rows[chosen]
+    z, _ = _maximised(plain, wide, z[chosen], index[rows], mask[rows], _SECOND_STEPS)
     value = _over_noise(plain, wide, z, index[rows], mask[rows]).reshape(-1, _SECOND)
     z = z.reshape(-1, _SECOND, n)
     fits = []
@@ -143,10 +139,14 @@ def _indices(
 
 def _maximised(
     plain: LogDensity, wide: LogDensity, z: Array, index: Array, mask: Array, steps: int
-) -> tuple[Array, Array, Array]:
-    """Optima of constants at held noise, one pairing a row; log densities there, and a step further."""
+) -> tuple[Array, Array]:
+    """Optima of constants at held noise, one pairing a row, and log densities there.
+
+    What cannot come near the best of all rows is given up.
+    """
     n = plain.parameters.size
     held = np.arange(n) >= plain.model.parameters.size
+    best, factor = -np.inf, 1.0 if plain.noise is None else _HOPELESS
 
     def target(at: Array, rows: Array) -> Expansion:
         m = len(at)
@@ -169,11 +169,16 @@ def _maximised(
         e.gradient[:, held] = 0.0
         return e
 
+    def hopeless(e: Expansion) -> Array:
+        nonlocal best
+        best = max(best, float(e.value.max()))
+        reach = e.value + _OVERSHOOT * promised_gain(e.gradient, e.curvature)
+        return np.asarray(reach < factor * best - _HOPELESS_NATS)
+
     bound = np.full(n, MAX_SCORE)
-    maxima = maximise(target, z, -bound, bound, most_steps=steps, promised=1e-2)
-    e = maxima.expansion
-    value = np.where(np.isfinite(e.value), e.value, -1e300)
-    return maxima.u, value, value + _OVERSHOOT * promised_gain(e.gradient, e.curvature)
+    maxima = maximise(target, z, -bound, bound, most_steps=steps, promised=1e-2, hopeless=hopeless)
+    value = maxima.expansion.value
+    return maxima.u, np.where(np.isfinite(value), value, -1e300)
 
 
 def _over_noise(plain: LogDensity, wide: LogDensity, z: Array, index: Array, mask: Array) -> Array:

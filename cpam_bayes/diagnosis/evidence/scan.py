@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -240,15 +241,17 @@ class Scan:
 
         progress : is told the number of trials that are done
         """
+        # those that take longest are the last round, and in it come first, so that workers are all busy
         trials = sorted(trials, key=lambda trial: any(e.is_anywhere for e in trial.hypothesis.effects))
         for trial in trials:
             if not is_time_up():
                 self._built(trial)
-        for start in range(0, len(trials), _ROUND):
+        n = len(trials)
+        for start, stop in pairwise((0, *range(n % _ROUND or _ROUND, n + 1, _ROUND))):
             if is_time_up():
                 self._end_early(trials[start:])
                 break
-            self._test_round(trials[start : start + _ROUND], progress, start)
+            self._test_round(trials[start:stop][::-1], progress, start)
 
     def _test_round(
         self, trials: Sequence[Trial], progress: Callable[[int], None] = lambda done: None, before: int = 0
@@ -259,7 +262,7 @@ class Scan:
         def count(done: int) -> None:
             progress(before + done)
 
-        for tried in shared_out(_tried, self.cases, items, self.executor, progress=count):
+        for tried in shared_out(_tried, self.cases, items, self.executor, common=scan, progress=count):
             self.tested += tried.tested
             self.not_tested += tried.not_tested
             self.best = max(self.best, tried.best)
@@ -434,7 +437,9 @@ class Scan:
         beside = {
             t.key: found
             for (_, t, _), found in zip(
-                items, shared_out(_leftovers, self.cases, items, self.executor), strict=True
+                items,
+                shared_out(_leftovers, self.cases, items, self.executor, common=scan),
+                strict=True,
             )
             if found
         }
