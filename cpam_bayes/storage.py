@@ -47,6 +47,7 @@ __all__ = [
     "sweep",
     "write_arrays",
     "write_sealed",
+    "write_whole",
 ]
 
 _PREFIX: Final = ".cpam-bayes-"
@@ -100,6 +101,14 @@ def put_in_place(draft: Path, path: Path) -> None:
     if not replaceable(path):
         raise FileExistsError(errno.EEXIST, "a directory, link, pipe or device is in its place", str(path))
     draft.replace(path)
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Put a file in its place that is there whole or not at all; raise ``OSError`` where that fails."""
+    with draft_directory(path.parent) as folder:
+        draft = folder / "file"
+        draft.write_bytes(content)
+        put_in_place(draft, path)
 
 
 def sweep(directory: Path) -> None:

@@ -6,10 +6,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.answer import Reliance
 from cpam_bayes.diagnosis.answers.detectability import Detectable, detectable
@@ -60,8 +58,6 @@ from cpam_bayes.diagnosis.signatures import (
 )
 from cpam_bayes.identification.point import reliances
 from cpam_bayes.running import cut_short, is_time_up, single_blas_thread
-
-Array = NDArray[Any]
 
 # A cause of which the constants leave less than this fraction to be seen is called hidden.
 _HIDDEN = 0.3
