@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import eigsh
 from skfem import Basis, BilinearForm, ElementQuadS2, ElementVector, MeshQuad
 
-from cpam_bayes.forward_model.calculix import PROGRAM_VARIABLE, solve_specimen
+from cpam_bayes.forward_model.calculix import PROGRAM_VARIABLE, solve_modes
 from cpam_bayes.forward_model.calculix.deck import Element
 from cpam_bayes.mechanics.problem import PlateState
 from cpam_bayes.plate import Specimen
@@ -167,7 +167,9 @@ def calculix(specimen: Specimen, element: Element, in_plane: int, n_modes: int) 
     """CalculiX through files; shells (S8R) or bricks (C3D20R), about ``in_plane`` elements in the plane."""
     constants = specimen.material.complete()
     given = {name: float(value) for name, value in constants.items()}
-    return solve_specimen(specimen, given, n_modes, element=element, in_plane=in_plane, timeout=300.0)
+    return solve_modes(
+        specimen, given, n_modes, element=element, in_plane=in_plane, timeout=300.0
+    ).frequencies
 
 
 def _frequencies(eigenvalues: Array, n_modes: int) -> Array:

@@ -23,6 +23,7 @@ __all__ = [
     "MAX_MODES",
     "MODES",
     "PLATE",
+    "PLATES",
     "STATUS_TEXT",
     "TIME_LIMIT",
     "WORKERS",
@@ -184,6 +185,13 @@ def _executor(text: str) -> str:
 
 
 PLATE: Final = option("plate", metavar="PLATE", help="built-in specimen or path of a plate file")
+PLATES: Final = option(
+    "plates",
+    nargs="+",
+    metavar="PLATE",
+    help="built-in specimens or paths of plate files; several are plates of one material, which "
+    "share their constants, or with equal `specimen` one plate under several tests",
+)
 MODES: Final = option(
     "--modes",
     "n_modes",

@@ -27,7 +27,7 @@ from cpam_bayes.running import current_limit
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["PlateResult", "Result", "document_of", "present", "within_time"]
+__all__ = ["PlateResult", "PlatesResult", "Result", "document_of", "present", "within_time"]
 
 
 @singledispatch
@@ -232,6 +232,23 @@ class PlateResult(Result):
     def about(self) -> tuple[Specimen, ...]:
         """The plate."""
         return (self.specimen,)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class PlatesResult(Result):
+    """The answer to a question about one or several plates, which it holds."""
+
+    plates: tuple[Specimen, ...]
+
+    @property
+    def title(self) -> str:
+        """The names of the plates."""
+        return " ".join(plate.name for plate in self.plates)
+
+    @property
+    def about(self) -> tuple[Specimen, ...]:
+        """The plates."""
+        return self.plates
 
 
 def within_time(verb: Callable[P, R]) -> Callable[P, R]:

@@ -23,7 +23,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
 from io import BufferedRandom
-from multiprocessing import parent_process
 from pathlib import Path
 from typing import Any, Final
 
@@ -37,7 +36,6 @@ __all__ = [
     "cache_directory",
     "draft_directory",
     "draft_file",
-    "name_unused_models",
     "put_in_place",
     "read_arrays",
     "read_sealed",
@@ -47,6 +45,7 @@ __all__ = [
     "sweep",
     "write_arrays",
     "write_sealed",
+    "write_whole",
 ]
 
 _PREFIX: Final = ".cpam-bayes-"
@@ -100,6 +99,14 @@ def put_in_place(draft: Path, path: Path) -> None:
     if not replaceable(path):
         raise FileExistsError(errno.EEXIST, "a directory, link, pipe or device is in its place", str(path))
     draft.replace(path)
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Put a file in its place that is there whole or not at all; raise ``OSError`` where that fails."""
+    with draft_directory(path.parent) as folder:
+        draft = folder / "file"
+        draft.write_bytes(content)
+        put_in_place(draft, path)
 
 
 def sweep(directory: Path) -> None:
@@ -257,10 +264,6 @@ def read_arrays(path: Path) -> dict[str, Array] | None:
 
 
 DIRECTORY_VARIABLE: Final = "CPAM_BAYES_CACHE"
-# Files of models that earlier versions kept there, of all that the directory holds.
-_MODEL: Final = re.compile(
-    rf"[0-9a-f]{{32}}(-local[0-9]+)?({re.escape(ARRAYS)}|\.npz)({re.escape(DAMAGED)})?"
-)
 
 
 def opened_draws(file: str | os.PathLike[str]) -> Any:
@@ -282,16 +285,3 @@ def cache_directory() -> Path:
     from platformdirs import user_cache_path
 
     return user_cache_path("cpam_bayes", appauthor=False)
-
-
-@cache
-def name_unused_models() -> None:
-    """Say once where models of earlier versions are and what they take, in a process that has no parent."""
-    directory, size = cache_directory(), 0
-    with suppress(OSError), os.scandir(directory) as entries:
-        size = sum(e.stat(follow_symlinks=False).st_size for e in entries if _MODEL.fullmatch(e.name))
-    if size and parent_process() is None:
-        mib = size / 2**20
-        _LOG.warning(
-            "%s holds %.1f MiB of plate models that are not used any more: remove them", directory, mib
-        )

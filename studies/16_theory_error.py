@@ -29,7 +29,6 @@ from cpam_bayes.forward_model.known_errors import shear_frequency, theory_error
 from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.plate import Specimen
 from validation.reporting import (
-    markdown_table,
     paragraph,
     save_results,
     saved_results,
@@ -68,8 +67,6 @@ LENGTH_MM, WIDTH_MM = 240.0, 180.0
 SLENDERNESS = (150, 50, 25, 15)
 # Rms over the modes that the bricks of a plate are off, at most, where the largest differences are stated.
 EXACT_BRICKS_PERCENT = 0.2
-# Plates of the table differ by this at least.
-SHOWN_PERCENT = 0.15
 
 
 class Case(NamedTuple):
@@ -216,26 +213,8 @@ def with_rule(results: Results) -> Results:
 
 
 def sections(results: Results) -> dict[str, str]:
-    """The table of docs/theory.md: rms over the modes, and over it the rule, by thickness."""
-    columns = ("1/50", "1/15")
-    of: dict[str, dict[str, Results]] = {}
-    for c in results["cases"]:
-        name, _, thickness = c["case"].rpartition(", h/b = ")
-        if name and thickness in columns and rms(c, "bricks_error_percent") <= EXACT_BRICKS_PERCENT:
-            of.setdefault(name, {})[thickness] = c
-    rows = [
-        (name, *(_cell(by[h]) if h in by else "" for h in columns))
-        for name, by in of.items()
-        if max(rms(c, "difference_percent") for c in by.values()) >= SHOWN_PERCENT
-    ]
-    said = "Ritz model less bricks, rms over ten modes in %, and in brackets the rule; plates below "
-    said += f"{SHOWN_PERCENT:g} % are left out:"
-    table = markdown_table(("plate", *(f"h/b = {h}" for h in columns)), rows)
-    return {"plates": f"{paragraph(said)}\n\n{table}", "largest": _largest(results["cases"])}
-
-
-def _cell(case: Results) -> str:
-    return f"{rms(case, 'difference_percent'):.3f} ({rms(case, 'rule_percent'):.3f})"
+    """What docs/theory.md says of the modes that the model misses by most."""
+    return {"largest": _largest(results["cases"])}
 
 
 def _largest(cases: Sequence[Results]) -> str:

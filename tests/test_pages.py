@@ -111,6 +111,8 @@ def test_a_figure_is_linked_from_where_its_page_lies(tmp_path: Path) -> None:
     shown = "![What it is.]({})\n\n**What it is.** What to see."
     assert figure_section(caption, tmp_path / "README.md") == shown.format("figures/x.png")
     assert figure_section(caption, tmp_path / "docs" / "one.md") == shown.format("../figures/x.png")
+    titled = "![What it is.](figures/x.png)\n\n**What it is.**"
+    assert figure_section(caption, tmp_path / "README.md", titled=True) == titled
 
 
 def test_numbers_of_things_are_short() -> None:
@@ -130,7 +132,7 @@ def test_results_of_other_sources_are_named_until_the_study_is_run_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     name = "16_theory_error"
-    page = f"# Title\n\n<!-- {name}: plates -->\nold\n<!-- /{name} -->\n"
+    page = f"# Title\n\n<!-- {name}: largest -->\nold\n<!-- /{name} -->\n"
     monkeypatch.setattr(reporting, "_FINGERPRINTS", tmp_path / "fingerprints.json")
     assert outdated(page) == [name]
     save_results(tmp_path / f"{name}.json", {"cases": []})

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.answer import Verdict
 from cpam_bayes.batches.limits import MarginalPosterior
@@ -41,8 +40,6 @@ __all__ = [
     "row_key",
     "write_row",
 ]
-
-Array = NDArray[Any]
 
 # Least relative error of the solver that a likelihood counts with.
 _SOLVER_FLOOR = 5e-5

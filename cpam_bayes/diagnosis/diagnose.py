@@ -5,11 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.answer import Reliance
 from cpam_bayes.diagnosis.answers.detectability import Detectable, detectable
@@ -42,6 +40,7 @@ from cpam_bayes.diagnosis.hypotheses import (
     OTHER,
     Claim,
     Hypothesis,
+    beside,
     causes_in,
     claim_of,
     inclusion_of,
@@ -60,10 +59,6 @@ from cpam_bayes.diagnosis.signatures import (
 from cpam_bayes.identification.point import reliances
 from cpam_bayes.running import cut_short, is_time_up, single_blas_thread
 
-Array = NDArray[Any]
-
-EXPLAINED = 1e-3
-"""Predictive p-value below which a model does not explain the lists."""
 # A cause of which the constants leave less than this fraction to be seen is called hidden.
 _HIDDEN = 0.3
 # Variants of the claimed causes that carry less than this fraction of the claim are not averaged over.
@@ -198,10 +193,7 @@ class Diagnosis:
     @property
     def beside(self) -> Mapping[str, float]:
         """Causes that may act beside what is claimed, with their inclusion probabilities."""
-        if self.claim.kind not in ("named", "class", "pair"):
-            return {}
-        others = {c: p for c, p in self.inclusion.items() if c not in self.claim.causes}
-        return {c: p for c, p in others.items() if p >= CLAIM_RULES.beside}
+        return beside(self.claim, self.inclusion)
 
 
 @single_blas_thread
@@ -244,7 +236,7 @@ def diagnose_cases(
     causes = _causes(cases, weighed, best, signatures, projector, executor)
     checks = PredictiveChecks()
     checks.compute(cases, list(best.values()), executor)
-    claim = _claim(weighed, causes, checks)
+    claim = claim_from(weighed, checks.p_value, misfit_beyond_noise)
     members = _members(weighed, claim)
     cases = weighed.none.cases or cases
     whole = np.concatenate([case.measurement.frequencies for case in cases])
@@ -270,7 +262,9 @@ def diagnose_cases(
         gain_of_claim,
         signatures,
         averaged_constants(weighed),
-        prior_sensitivity(weighed, claim, lambda other: _claim(other, _reweighed(causes, other), checks)),
+        prior_sensitivity(
+            weighed, claim, lambda other: claim_from(other, checks.p_value, misfit_beyond_noise)
+        ),
         detectable(weighed, cases, executor) if power else (),
         open_optima(members[0][0] if members else weighed.none, cases),
         claim.kind != OTHER and within_stated_noise(leading, n_constants),
@@ -376,30 +370,25 @@ def _bias(none: Marginal, signature: Signature) -> dict[str, float]:
     return {name: float(dx[i] / x[i]) for i, name in enumerate(names) if x[i] != 0.0}
 
 
-def _reweighed(causes: Sequence[Cause], weighed: Weighed) -> list[Cause]:
-    """The causes with the probabilities and Bayes factors of other priors."""
-    probability = weighed.by_cause()
-    return [
-        replace(c, probability=probability[c.name], log_bayes_factor=weighed.log_bayes_factor((c.name,)))
-        for c in causes
-    ]
+def claim_from(
+    weighed: Weighed, p_value: Callable[[Tested], float], misfit: Callable[[Tested], float]
+) -> Claim:
+    """The claim from weighed hypotheses.
 
-
-def _claim(weighed: Weighed, causes: Sequence[Cause], checks: PredictiveChecks) -> Claim:
-    plain = misfit_beyond_noise(weighed.none)
+    p_value : the predictive one of a hypothesis
+    misfit : what it leaves of the lists beyond noise
+    """
+    most = CLAIM_RULES.halved * misfit(weighed.none)
 
     def explained(name: str) -> bool:
         best = weighed.best_of(name)
-        if best.hypothesis.has_leftover and misfit_beyond_noise(best) > CLAIM_RULES.halved * plain:
+        if best.hypothesis.has_leftover and misfit(best) > most:
             return False
-        return checks.p_value(best) > EXPLAINED
+        return p_value(best) > CLAIM_RULES.explained
 
-    return claim_of(
-        {c.name: c.probability for c in causes},
-        {c.name: c.log_bayes_factor for c in causes},
-        explained,
-        is_cut_short=weighed.is_cut_short,
-    )
+    probability = weighed.by_cause()
+    evidence = {name: weighed.log_bayes_factor((name,)) for name in probability}
+    return claim_of(probability, evidence, explained, is_cut_short=weighed.is_cut_short)
 
 
 def _members(weighed: Weighed, claim: Claim) -> tuple[tuple[Tested, float], ...]:

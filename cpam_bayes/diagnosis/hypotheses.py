@@ -304,7 +304,8 @@ class ClaimRules:
     rival : fraction of the leading probability from which a cause that is not so far behind joins the claim
     beside : inclusion probability from which a cause is told that may act beside what is claimed
     negligible : probability below which it does not matter whether a cause explains the lists
-    halved : fraction of the plain model's misfit beyond noise that a claimed cause leaves at most
+    explained : predictive p-value above which a model explains the lists
+    halved : fraction of the plain model's misfit beyond noise that a cause with a leftover leaves at most
     most, undecided : members of a class at most, and causes listed where nothing is decided
     """
 
@@ -314,6 +315,7 @@ class ClaimRules:
     rival: float = 0.01
     beside: float = 0.1
     negligible: float = 1e-3
+    explained: float = 1e-3
     halved: float = 0.5
     most: int = 6
     undecided: int = 3
@@ -384,6 +386,13 @@ def inclusion_of(probability: Mapping[str, float]) -> dict[str, float]:
     causes = dict.fromkeys(c for name in probability if name not in (NONE, OTHER) for c in causes_in(name))
     inclusion = {c: _acting(probability, (c,)) for c in causes}
     return dict(sorted(inclusion.items(), key=lambda item: -item[1]))
+
+
+def beside(claim: Claim, inclusion: Mapping[str, float]) -> dict[str, float]:
+    """Causes that may act beside those that are claimed, with their inclusion probabilities."""
+    if claim.kind not in ("named", "class", "pair"):
+        return {}
+    return {c: p for c, p in inclusion.items() if c not in claim.causes and p >= CLAIM_RULES.beside}
 
 
 def _leading(probability: Mapping[str, float], causes: Collection[str]) -> str:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-import scipy.optimize
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
@@ -176,32 +175,6 @@ def energy_terms(operator: AffineOperator[Any, Any], spectrum: Spectrum) -> tupl
     order = np.argsort(np.concatenate(where))
     stiffness, mass = (np.concatenate(e)[order].reshape(*spectrum.eigenvalues.shape, -1) for e in terms)
     return stiffness, mass
-
-
-def modal_assurance(operator: AffineOperator[Any, Any], mass: Array, a: Spectrum, b: Spectrum) -> Array:
-    """Modal assurance of the modes of two spectra of one operator, (n_modes of a, n_modes of b).
-
-    MAC_ij = (phi_i^T M phi_j)^2 for M-normalised modes: 1 for equal shapes, 0 for orthogonal ones
-    (Allemang, Sound and Vibration 37, 2003, with the mass as weight).
-
-    mass : (n_mass,) coefficients of the M that weighs. The first parameter set of each spectrum counts.
-    """
-    assurance = np.zeros((a.eigenvalues.shape[1], b.eigenvalues.shape[1]))
-    for i in range(assurance.shape[0]):
-        block_a, phi = a.vector(0, i)
-        for j in range(assurance.shape[1]):
-            block_b, psi = b.vector(0, j)
-            if block_a == block_b:
-                cross = _bilinear(operator, block_a, phi, psi)[1] @ mass
-                sizes = [operator.blocks[block_a].energies(v[None])[1][0] @ mass for v in (phi, psi)]
-                assurance[i, j] = cross**2 / (sizes[0] * sizes[1])
-    return assurance
-
-
-def track_modes(operator: AffineOperator[Any, Any], mass: Array, a: Spectrum, b: Spectrum) -> Array:
-    """For each mode of ``a`` the mode of ``b`` that has its shape, (n_modes,): best total assurance."""
-    _, order = scipy.optimize.linear_sum_assignment(modal_assurance(operator, mass, a, b), maximize=True)
-    return np.asarray(order)
 
 
 def _bilinear(operator: AffineOperator[Any, Any], block: int, phi: Array, psi: Array) -> tuple[Array, Array]:

@@ -37,7 +37,7 @@ from cpam_bayes.render.report import Column, Report, Rows, Section, Summary, Tab
 from cpam_bayes.render.sentences import plate_argument
 from cpam_bayes.result import PlateResult, present
 from cpam_bayes.running import single_blas_thread
-from cpam_bayes.storage import draft_directory, put_in_place, replaceable
+from cpam_bayes.storage import replaceable, write_whole
 
 __all__ = ["ExportResult", "UniversalResult", "UniversalShapes", "export"]
 
@@ -247,12 +247,12 @@ def export(
     n = n_modes or measured_modes(specimen)
     if to == "uff":
         shapes = predicted_shapes(specimen, n)
-        _write_whole(target, universal_text(specimen.name, shapes))
+        _write(target, universal_text(specimen.name, shapes))
         return UniversalResult(
             seed=seed, specimen=specimen, air_shifts=air_shifts(specimen), path=target, shapes=shapes
         )
     deck = plate_deck(specimen, reference_constants(specimen), element or "shell", n)
-    _write_whole(target, deck.text)
+    _write(target, deck.text)
     return ExportResult(
         seed=seed,
         specimen=specimen,
@@ -291,13 +291,10 @@ def _require_writable(path: Path, force: bool) -> None:
         raise ValueError(f"{shown}: cannot be written to: {error.strerror}") from None
 
 
-def _write_whole(path: Path, text: str) -> None:
-    """Write a file that is there whole or not at all; raise ``ValueError`` where that fails."""
+def _write(path: Path, text: str) -> None:
+    """Write a file; raise ``ValueError`` where that fails."""
     try:
-        with draft_directory(path.parent) as draft:
-            written = draft / "file"
-            written.write_text(text, encoding="utf-8", newline="\n")
-            put_in_place(written, path)
+        write_whole(path, text.encode())
     except OSError as error:
         raise ValueError(f"--out {path}: cannot be written to: {error.strerror}") from None
 

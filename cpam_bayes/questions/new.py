@@ -29,7 +29,7 @@ from cpam_bayes.questions.forward import handling_before
 from cpam_bayes.render.handling import Handling
 from cpam_bayes.render.report import Report, Summary, remarks
 from cpam_bayes.result import Result, present
-from cpam_bayes.storage import draft_directory, put_in_place, replaceable
+from cpam_bayes.storage import replaceable, write_whole
 
 __all__ = ["MATERIALS", "QUESTIONS", "NewPlateResult", "Question", "TypicalMaterial", "new"]
 
@@ -327,10 +327,7 @@ def new(
     )
     text, missing = plate_text(target, known)
     try:
-        with draft_directory(target.parent) as draft:
-            written = draft / "file"
-            written.write_text(text, encoding="utf-8", newline="\n")
-            put_in_place(written, target)
+        write_whole(target, text.encode())
     except OSError as error:
         raise ValueError(f"{target}: cannot be written to: {error.strerror}") from None
     handling = handling_before(tomllib.loads(text))

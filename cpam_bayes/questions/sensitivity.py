@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, Final, get_args
+from typing import Any, ClassVar, Final, get_args
 
 from cpam_bayes.command import EXECUTOR, MODES, PLATE, TIME_LIMIT, WORKERS, Command, option, positive, whole
 from cpam_bayes.errors import PlateFileError, checked
@@ -71,9 +71,6 @@ from cpam_bayes.render.report import (
 from cpam_bayes.render.sentences import plate_argument
 from cpam_bayes.result import PlateResult, present, within_time
 from cpam_bayes.running import SILENT, Watch
-
-if TYPE_CHECKING:
-    pass
 
 MAX_LEVEL = 0.5
 """Largest level of noise, as a fraction."""

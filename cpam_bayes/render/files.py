@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Protocol
 from cpam_bayes.plate import Specimen
 from cpam_bayes.render.page import PAGE, command_of, write_page
 from cpam_bayes.render.report import Report, csv_text, json_text, xlsx_bytes
-from cpam_bayes.storage import draft_directory, draft_file, put_in_place, replaceable
+from cpam_bayes.storage import draft_directory, put_in_place, replaceable, write_whole
 
 __all__ = ["Stage", "require_table", "save", "save_tables", "staging"]
 
@@ -111,21 +111,14 @@ def save_tables(result: Answer, csv: str | None, xlsx: str | None) -> None:
         return
     tables = result.report().written
     if csv is not None:
-        _put(Path(csv), _encoded(csv_text(tables[0]), csv))
+        write_whole(Path(csv), _encoded(csv_text(tables[0]), csv))
     if xlsx is not None:
-        _put(Path(xlsx), xlsx_bytes(tables))
+        write_whole(Path(xlsx), xlsx_bytes(tables))
 
 
 def _encoded(text: str, name: str) -> bytes:
     """A text as its file holds it; the mark of a table tells Excel that it is UTF-8."""
     return text.encode("utf-8-sig" if name.casefold().endswith(".csv") else "utf-8")
-
-
-def _put(path: Path, content: bytes) -> None:
-    with draft_file(path.parent) as (draft, file):
-        file.write(content)
-        file.close()
-        put_in_place(draft, path)
 
 
 def _draws_written(result: Answer, draft: Path, directory: Path) -> tuple[str, ...]:

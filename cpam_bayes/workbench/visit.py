@@ -27,7 +27,7 @@ from cpam_bayes.plate.checks import SOURCES
 from cpam_bayes.plate.text import decode, read_regular_file
 from cpam_bayes.render.terminal import Clock
 from cpam_bayes.running import Described, Progress
-from cpam_bayes.storage import draft_file, put_in_place, replaceable
+from cpam_bayes.storage import replaceable, write_whole
 from cpam_bayes.workbench.plate_text import (
     FIELDS,
     SENSOR,
@@ -509,7 +509,7 @@ class Visit(Work):
         ending = path.suffix.lower()
         key = {".wav": "", ".unv": "shapes", ".uff": "shapes"}.get(ending, "table")
         is_new = not path.exists()
-        _write(path, content_of)
+        write_whole(path, content_of)
         if not key:
             self.dropped = name
             self.stale.pop("pick", None)
@@ -638,7 +638,7 @@ class Visit(Work):
         folder = self.desk.folder / DRAFTS
         with suppress(OSError):  # a folder that cannot be written to: the page goes on without
             folder.mkdir(exist_ok=True)
-            _write(folder / f"{self.key}.json", json.dumps(kept, ensure_ascii=False).encode())
+            write_whole(folder / f"{self.key}.json", json.dumps(kept, ensure_ascii=False).encode())
             old = sorted(folder.glob("*.json"), key=os.path.getmtime)[:-_MOST_DRAFTS]
             for path in old:
                 path.unlink()
@@ -656,7 +656,7 @@ class Visit(Work):
         ):
             raise EditError(f"{path.name}: was changed by another program; save under another name")
         try:
-            _write(path, self.text.encode())
+            write_whole(path, self.text.encode())
         except OSError as error:
             raise EditError(f"{path.name}: cannot be written to: {error.strerror}") from None
         self.file, self.saved = path.name, self.text
@@ -812,11 +812,3 @@ def _free_name(folder: Path, name: str) -> str:
         if not os.path.lexists(folder / free):
             return free
     raise EditError(f"{folder.name}: too many files named {stem}")
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Put a file in its place, whole."""
-    with draft_file(path.parent) as (draft, file):
-        file.write(content)
-        file.flush()
-        put_in_place(draft, path)

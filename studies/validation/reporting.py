@@ -223,11 +223,11 @@ def write_sections(project: Path, source: str, sections: Mapping[str, str]) -> l
 def figure_section(caption: Path, page: Path, *, titled: bool = False) -> str:
     """A figure with its caption, as a page shows it; from the caption file beside the figure.
 
-    titled : with the title of the caption alone, which a reader of the page in words then hears once
+    titled : with the title of the caption alone
     """
     title, text, *_ = caption.read_text(encoding="utf-8").split("\n\n")
     link = Path(relpath(caption.with_suffix(".png"), page.parent)).as_posix()
-    alternative = "" if titled else " ".join(title.strip("*").split())
+    alternative = " ".join(title.strip("*").split())
     return f"![{alternative}]({link})\n\n{paragraph(title if titled else f'{title} {text}')}"
 
 

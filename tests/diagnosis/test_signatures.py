@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -14,6 +16,7 @@ from cpam_bayes.diagnosis.signatures import (
     Projector,
     Signature,
     alike,
+    compared_by_fits,
     cosine,
     nearest_of,
     projector_of,
@@ -181,18 +184,38 @@ def test_a_false_peak_has_a_signature_and_may_equal_its_neighbour(at: int, peak:
     assert np.all(np.isfinite(found.shift))
 
 
+@pytest.mark.parametrize(
+    ("likeness", "seen", "same"),
+    [(0.951, 1.0, True), (0.949, 1.0, False), (1.0, 0.101, True), (1.0, 0.099, False)],
+)
+def test_signatures_are_equal_from_a_cosine_of_0_95_where_a_tenth_of_both_is_visible(
+    likeness: float, seen: float, same: bool
+) -> None:
+    shifts = np.array([[1.0, 0.0], [likeness, np.sqrt(1.0 - likeness**2)]])
+    one, other = (Signature(shift, shift, seen, np.zeros(2), 0.0) for shift in shifts)
+    assert alike([one, other], 0) == ((1,) if same else ())
+
+
 def test_causes_with_one_signature_are_told_apart_by_fits() -> None:
-    by_signature = {"turned": ("skew", "inner"), "skew": ("turned",), "inner": ("turned",), "mass": ()}
-    peak = {"turned": 30.0, "skew": 21.0, "inner": 26.0, "mass": 29.0}
-    probability = {"turned": 0.99, "skew": 1e-4, "inner": 5e-3, "mass": 4e-3}
+    by_signature = {"turned": ("skew", "inner"), "skew": ("turned",), "mass": (), "load": ()}
+    peak = {"turned": 30.0, "skew": 22.9, "inner": 23.1, "mass": 28.1, "load": 27.9}
+    probability = {"turned": 0.98, "skew": 1e-4, "inner": 5e-3, "mass": 4e-3, "load": 4e-3}
     found = with_equal_fits(by_signature, peak, probability)
-    # e^9 behind at any size: skew is another cause; inner plies fit worse by e^4, which decides nothing
+    # e^7.1 behind at any size: skew is another cause; inner plies fit worse by e^6.9, which decides nothing.
+    # Within e^2 fits are equal
     assert found["turned"] == ("inner", "mass")
-    assert found["inner"] == ("turned", "mass")
     # what fits better imitates the worse one
-    assert set(found["skew"]) == {"turned", "inner", "mass"}
-    # where the priors give it a part of the probability after all, it stays in the class
-    shared = with_equal_fits(by_signature, peak, {**probability, "turned": 0.6, "skew": 0.4})
-    assert shared["turned"] == ("skew", "inner", "mass")
+    assert set(found["skew"]) == {"turned", "inner", "mass", "load"}
+    # where the priors give it a hundredth of the probability after all, it stays in the class
+    for p, stays in ((0.0097, False), (0.0099, True)):
+        shared = with_equal_fits(by_signature, peak, {**probability, "skew": p})
+        assert ("skew" in shared["turned"]) is stays
     # without fits only signatures are compared
     assert with_equal_fits(by_signature, {}, probability)["turned"] == ("skew", "inner")
+
+
+def test_fits_are_compared_of_what_is_probable_and_of_what_looks_like_the_leading_cause() -> None:
+    probability = {"turned": 0.8, "mass": 0.0041, "load": 0.0039, "skew": 1e-6, NONE: 0.1}
+    unused: Any = None
+    tested = {c: weighing.Tested(Hypothesis(c, c), (0,), unused) for c in probability if c != NONE}
+    assert set(compared_by_fits(tested, probability, {"turned": ("skew",)})) == {"turned", "mass", "skew"}

@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 
 from cpam_bayes.effects import CATALOGUE, Effect, applicable, extend, scale_of, variants
-from cpam_bayes.effects.effect import GROSS_FRACTION
 from cpam_bayes.effects.table import BEGIN, END, catalogue_table
 from cpam_bayes.forward_model.model import PlateModel, constant_parameters, plate_problem
 from cpam_bayes.mechanics.affine import AffineOperator
@@ -162,7 +161,7 @@ def test_an_effect_says_what_it_acts_on_and_how_it_enters(effect: Effect) -> Non
 def test_a_gross_error_is_as_large_as_the_plate_allows(effect: Effect) -> None:
     for p in effect.parameters:
         if isinstance(p.prior, Mixture):
-            assert p.prior.fraction == GROSS_FRACTION
+            assert p.prior.fraction == 0.1
             assert p.prior.wide.sd >= 1.3 * p.prior.narrow.sd
             assert max(p.prior.upper, -p.prior.lower) > 4.0 * scale_of(p)
 

@@ -143,11 +143,15 @@ def weigh(
         if sampled is None:
             break
         order = ranked(sampled)
-    log_none = float(logsumexp([t.marginal.log_evidence for t in order if t.hypothesis.cause == NONE]))
-    tested = [replace(t, log_bayes_factor=t.marginal.log_evidence - log_none) for t in _with_shares(order)]
     prior = prior_by_cause([h for h, _ in hypotheses])
     not_tested = tuple(dict.fromkeys(scan.not_tested))
-    return Weighed(tuple(tested), not_tested, prior, scan.is_cut_short, unaccounted)
+    return Weighed(with_factors(order), not_tested, prior, scan.is_cut_short, unaccounted)
+
+
+def with_factors(order: Sequence[Tested]) -> tuple[Tested, ...]:
+    """Hypotheses, the best first, with their probabilities and log Bayes factors against none."""
+    log_none = float(logsumexp([t.marginal.log_evidence for t in order if t.hypothesis.cause == NONE]))
+    return tuple(replace(t, log_bayes_factor=t.marginal.log_evidence - log_none) for t in _with_shares(order))
 
 
 def _with_shares(order: Sequence[Tested]) -> list[Tested]:

@@ -1,14 +1,13 @@
 """A plate as an ABAQUS-format input deck, and CalculiX run on it through files."""
 
-from cpam_bayes.forward_model.calculix.deck import Deck, Element, plate_deck, write_deck
+from cpam_bayes.forward_model.calculix.deck import Deck, Element, plate_deck
 from cpam_bayes.forward_model.calculix.run import (
     PROGRAM_VARIABLE,
     CalculixError,
     CalculixModes,
     read_eigenvalues,
-    run_calculix,
+    run_deck,
     solve_modes,
-    solve_specimen,
 )
 
 __all__ = [
@@ -19,8 +18,6 @@ __all__ = [
     "Element",
     "plate_deck",
     "read_eigenvalues",
-    "run_calculix",
+    "run_deck",
     "solve_modes",
-    "solve_specimen",
-    "write_deck",
 ]

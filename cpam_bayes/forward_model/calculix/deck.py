@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
@@ -198,20 +197,6 @@ class Deck:
     text: str
     mesh: PlateMesh
     n_rigid: int
-
-
-def write_deck(
-    specimen: Specimen,
-    constants: Mapping[str, float],
-    element: Element,
-    n_modes: int,
-    path: Path,
-    *,
-    in_plane: int | None = None,
-) -> None:
-    """Write the deck of a specimen to a file; arguments and errors as for `plate_deck`."""
-    deck = plate_deck(specimen, constants, element, n_modes, in_plane=in_plane)
-    path.write_text(deck.text, encoding="ascii", newline="\n")
 
 
 def plate_deck(

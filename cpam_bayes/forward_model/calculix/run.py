@@ -117,20 +117,6 @@ _JOB: Final = "plate"
 _SHOWN_LINES: Final = 12
 
 
-def run_calculix(deck: Path, n_rigid: int, *, timeout: float | None = None) -> NDArray[np.float64]:
-    """Natural frequencies that CalculiX finds for a deck file, ascending, Hz.
-
-    n_rigid : rigid-body motions that the edges leave (`problem.rigid_body_count`); they are taken off.
-    timeout : s.
-
-    Raises CalculixError as `run_deck` does, and for another number of them.
-    """
-    results = run_deck(deck.read_text(encoding="utf-8", errors="replace"), timeout=timeout)
-    eigenvalues = read_eigenvalues(results)
-    places = deformation_modes(eigenvalues, n_rigid)
-    return np.asarray(np.sqrt(eigenvalues[places]) / (2 * np.pi))
-
-
 def run_deck(text: str, *, timeout: float | None = None) -> str:
     """The results (.dat) of CalculiX for the text of a deck, run in a temporary directory.
 
@@ -214,21 +200,6 @@ class CalculixModes:
     frequencies: NDArray[np.float64]
     modes: tuple[Mode, ...]
     shapes: NDArray[np.float64]
-
-
-def solve_specimen(
-    specimen: Specimen,
-    constants: Mapping[str, float],
-    n_modes: int,
-    *,
-    element: Element = "brick",
-    in_plane: int | None = None,
-    timeout: float | None = None,
-) -> NDArray[np.float64]:
-    """Natural frequencies of a specimen, (n_modes,) Hz; arguments and errors as `solve_modes`."""
-    return solve_modes(
-        specimen, constants, n_modes, element=element, in_plane=in_plane, timeout=timeout
-    ).frequencies
 
 
 def solve_modes(

@@ -22,7 +22,6 @@ Array = NDArray[Any]
 class FieldPart:
     """Contribution of one sector of trial functions to a field of the basis vectors of one block.
 
-    sector : its number in the space
     block, columns : number of the block, and of its vectors in the whole basis
     tensor : (x.size, y.size, n_columns)
     """
@@ -30,7 +29,6 @@ class FieldPart:
     field: Field
     x: Family
     y: Family
-    sector: int
     block: int
     columns: slice
     tensor: Array
@@ -40,7 +38,7 @@ def field_parts(space: RitzSpace, indices: list[Array], bases: list[Array]) -> t
     """The parts of bases (n_block, r), one a block whose trial functions have these indices in the space."""
     parts = []
     first = 0
-    for number, sector in enumerate(space.sectors):
+    for sector in space.sectors:
         start = 0
         for block, (index, basis) in enumerate(zip(indices, bases, strict=True)):
             columns = slice(start, start + basis.shape[1])
@@ -52,7 +50,7 @@ def field_parts(space: RitzSpace, indices: list[Array], bases: list[Array]) -> t
             tensor = np.zeros((sector.x.size, sector.y.size, basis.shape[1]))
             tensor[pairs[:, 0], pairs[:, 1]] = basis[inside]
             if np.abs(tensor).max() > 0.0:
-                parts.append(FieldPart(sector.field, sector.x, sector.y, number, block, columns, tensor))
+                parts.append(FieldPart(sector.field, sector.x, sector.y, block, columns, tensor))
         first += sector.size
     return tuple(parts)
 

@@ -11,7 +11,7 @@ from typing import Final, Literal
 import numpy as np
 
 from cpam_bayes.answer import Constant, Notice, each_once
-from cpam_bayes.command import EXECUTOR, TIME_LIMIT, WORKERS, Command, option, positive
+from cpam_bayes.command import EXECUTOR, PLATES, TIME_LIMIT, WORKERS, Command, option, positive
 from cpam_bayes.diagnosis.cases import build_models, hypotheses_of, plate_case
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
@@ -565,13 +565,7 @@ def _work(d: Diagnosis, seed: int) -> Table:
 COMMAND: Final = Command(
     diagnose,
     (
-        option(
-            "plates",
-            nargs="+",
-            metavar="PLATE",
-            help="built-in specimens or paths of plate files; several are plates of one material, which "
-            "share their constants, or with equal `specimen` one plate under several tests",
-        ),
+        PLATES,
         option(
             "--scatter",
             type=positive(MAX_SCATTER),

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from cpam_bayes.answer import Verdict
-from cpam_bayes.diagnosis.diagnose import EXPLAINED, Cause, Diagnosis
+from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.extension import left_aside
 from cpam_bayes.diagnosis.fit import inferred_noise
 from cpam_bayes.diagnosis.hypotheses import CLAIM_RULES, NONE, OTHER, Claim, causes_in
@@ -123,7 +123,7 @@ def _undecided(d: Diagnosis) -> str:
     wrong, open_ = probability_text(d.something_wrong), _with_probabilities(d, causes)
     if d.something_wrong >= CLAIM_RULES.sure:
         return f"Something is wrong ({wrong}); what, is open: {open_}."
-    if d.baseline.predictive_p <= EXPLAINED:
+    if d.baseline.predictive_p <= CLAIM_RULES.explained:
         return f"The misfit is more than noise; what is wrong, is open: {open_}."
     factor = significant(d.bayes_factor, 2)
     if d.bayes_factor < _EVIDENCE:

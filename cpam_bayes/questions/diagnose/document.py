@@ -24,10 +24,10 @@ from cpam_bayes.formatting import fixed, signed, significant, with_spread
 from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.identification.point import verdict_of
 from cpam_bayes.parameters import Parameter, Prior
-from cpam_bayes.plate import Plate, Specimen, to_user, user_name
+from cpam_bayes.plate import Plate, to_user, user_name
 from cpam_bayes.render.report import Column, Rows
 from cpam_bayes.render.spectrum import peak_keys, peak_rows
-from cpam_bayes.result import Result
+from cpam_bayes.result import PlatesResult
 
 __all__ = [
     "FEW",
@@ -64,13 +64,12 @@ _UNSURE: Final = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class DiagnosisResult(Result):
+class DiagnosisResult(PlatesResult):
     """Causes weighed against each other, the claim, the extended model and its gain.
 
     Attributes
     ----------
     diagnosis : claim, causes with their probabilities, both fits, gain
-    plates : the specimens
     air_shifts : for each plate, see `PlateResult.air_shifts`
     plain, extended : each measured frequency with its mode; extended is None where nothing is claimed
     mode_shapes : of each plate, u, v, w on a regular grid, (n_modes, 3, n, n), by the plain model where it
@@ -82,23 +81,12 @@ class DiagnosisResult(Result):
     command: ClassVar[str] = "diagnose"
 
     diagnosis: Diagnosis
-    plates: tuple[Specimen, ...]
     air_shifts: tuple[NDArray[np.float64] | None, ...]
     plain: PairedFit
     extended: PairedFit | None
     mode_shapes: tuple[NDArray[np.float64], ...]
     scatter: float
     candidates: tuple[Candidate, ...] = ()
-
-    @property
-    def title(self) -> str:
-        """The names of the plates."""
-        return " ".join(plate.name for plate in self.plates)
-
-    @property
-    def about(self) -> tuple[Specimen, ...]:
-        """The plates."""
-        return self.plates
 
     @property
     def claim(self) -> str:

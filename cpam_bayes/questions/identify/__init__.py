@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, Final, Literal, get_args
 
-from cpam_bayes.command import TIME_LIMIT, Command, option, positive, whole
+from cpam_bayes.command import PLATES, TIME_LIMIT, Command, option, positive, whole
 from cpam_bayes.identification.search import MOST_SWARMS, Residual
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS
 from cpam_bayes.inference.posterior import Likelihood
@@ -84,13 +84,7 @@ def _answered(
 COMMAND: Final = Command(
     _answered,
     (
-        option(
-            "plates",
-            nargs="+",
-            metavar="PLATE",
-            help="built-in specimens or paths of plate files; several are plates of one material, which "
-            "share their constants, or with equal `specimen` one plate under several tests",
-        ),
+        PLATES,
         option(
             "--backend",
             choices=get_args(Backend),

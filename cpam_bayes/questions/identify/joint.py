@@ -33,7 +33,7 @@ from cpam_bayes.identification.joint import (
 )
 from cpam_bayes.identification.search import NO_MESH, required
 from cpam_bayes.inference.swarm import SwarmSettings
-from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, user_name
+from cpam_bayes.plate import PlateLike, read_plate, to_user, user_name
 from cpam_bayes.questions.identify.slips import (
     GROSS,
     Slip,
@@ -70,7 +70,7 @@ from cpam_bayes.render.sentences import (
     references_said,
     reliance_sentences,
 )
-from cpam_bayes.result import Result, present
+from cpam_bayes.result import PlatesResult, present
 from cpam_bayes.running import Watch
 
 if TYPE_CHECKING:
@@ -82,31 +82,19 @@ MAX_SCATTER: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
-class JointResult(Result):
+class JointResult(PlatesResult):
     """The constants that several lists share.
 
     Attributes
     ----------
-    plates : the plate files
     estimate : the constants, and the fit of every list
     explained_by : of each plate, slips of its file without which its list fits, the most probable first
     """
 
     command: ClassVar[str] = "identify"
 
-    plates: tuple[Specimen, ...]
     estimate: JointEstimate
     explained_by: tuple[tuple[Slip, ...], ...]
-
-    @property
-    def title(self) -> str:
-        """The names of the plates."""
-        return " ".join(plate.name for plate in self.plates)
-
-    @property
-    def about(self) -> tuple[Specimen, ...]:
-        """The plates."""
-        return self.plates
 
     @property
     def constants(self) -> Mapping[str, Constant]:

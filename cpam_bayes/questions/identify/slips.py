@@ -26,7 +26,6 @@ from cpam_bayes.diagnosis.cases import plate_case, with_list
 from cpam_bayes.diagnosis.comparison import SCATTER
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
 from cpam_bayes.diagnosis.evidence.scan import (
-    EXPLAINED,
     Scan,
     Trial,
     is_repairing,
@@ -34,6 +33,7 @@ from cpam_bayes.diagnosis.evidence.scan import (
     misfit_probability,
 )
 from cpam_bayes.diagnosis.hypotheses import (
+    CLAIM_RULES,
     NONE,
     OTHER,
     P_NONE,
@@ -211,7 +211,9 @@ def explaining_slips(specimen: Specimen) -> tuple[Slip, ...]:
         name: float(log_weight[name] - np.log(sum(w.prior for w in those))) for name, those in by_name.items()
     }
     claim = claim_of(
-        probability, evidence, lambda name: misfit_probability(by_name[name][0].marginal) > EXPLAINED
+        probability,
+        evidence,
+        lambda name: misfit_probability(by_name[name][0].marginal) > CLAIM_RULES.explained,
     )
     found = [(name, by_name[name][0].named) for name in claim.causes]
     slips = [replace(slip, probability=probability[name]) for name, slip in found if slip is not None]

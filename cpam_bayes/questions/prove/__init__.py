@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.batches.plate_row import local_likelihood
 from cpam_bayes.command import PLATE, TIME_LIMIT, Command, option
@@ -35,8 +34,6 @@ from cpam_bayes.result import within_time
 from cpam_bayes.running import SILENT, Watch
 
 __all__ = ["Coin", "CoinResult", "prove"]
-
-Array = NDArray[Any]
 
 _MOST_LISTS: Final = 50
 # Draws of the constants that the first list leaves open.
