@@ -372,6 +372,7 @@ def _pilot(
         return PilotEnumeration(enumeration, _enumerated(enumeration, executor), 1.0)
     slack = float(np.clip(surrogate.largest_error, 0.2, 3.0))
     share = max(1, round(problem.n_sequences / _MAX_SUMMED))
+    mixed = rng.permutation(len(problem.grid_deg) ** INNER) if share > 1 else None
     depth = _first_depth(sums, surrogate, margin * settings.unaccounted, executor, rng)
     while True:
         table = piecewise_linear_surrogate(
@@ -384,7 +385,7 @@ def _pilot(
             surrogate.freedom,
             executor,
         )
-        enumeration = Enumeration(table, sums, surrogate.top, negation, np.inf, share=share)
+        enumeration = Enumeration(table, sums, surrogate.top, negation, np.inf, share=share, mixed=mixed)
         visited = prefixes_to_visit(enumeration)
         pilot = np.sort(rng.choice(visited, size=min(_PILOT_PREFIXES, len(visited)), replace=False))
         partial = _enumerated(enumeration, executor, prefixes=pilot)
