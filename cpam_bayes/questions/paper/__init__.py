@@ -51,6 +51,7 @@ from cpam_bayes.questions.paper.rows import (
 )
 from cpam_bayes.questions.paper.work import (
     FULL,
+    OF_FULL_EFFORT,
     QUICK,
     Effort,
     Task,
@@ -105,8 +106,8 @@ def tasks_of(number: int, seed: int) -> tuple[Task, ...]:
         name = _NOISE[number]
         point = Task("constants", name, *((TWO, 8) if name == "A2" else (BUILT_IN, 9)), seed)
         noise = Task("noise", name, BUILT_IN, number, seed)
-        angles = Task("angles", name, BUILT_IN, number, seed)
-        return (noise, point) if name == "A2" else (noise, point, angles)
+        layups = (Task(kind, name, BUILT_IN, number, seed) for kind in OF_FULL_EFFORT)
+        return (noise, point) if name == "A2" else (noise, point, *layups)
     return ()
 
 
@@ -273,7 +274,7 @@ def computations(
 ) -> dict[Task, Results]:
     """The results of all tasks of some tables; those that are not known are computed and stored."""
     wanted = dict.fromkeys(task for n in reversed(numbers) for task in tasks_of(n, seed))
-    tasks = sorted((t for t in wanted if effort.full or t.kind != "angles"), key=_turn)
+    tasks = sorted((t for t in wanted if effort.full or t.kind not in OF_FULL_EFFORT), key=_turn)
     computed = {task: results for task in tasks if (results := known(task)) is not None}
     missing = [task for task in tasks if task not in computed]
     if not missing:
