@@ -183,7 +183,7 @@ def _moduli(constants: Mapping[str, ArrayLike], layup: Layup) -> _Moduli:
         own = constants_of(constants, name)
         plane[here] = rotated_stiffness(stiffness_invariants(reduced_stiffness(own)), functions[here])
         shear[:, here] = [[float(np.real(own[g]))] for g in ("G13", "G23")]
-    return _Moduli(plies.interfaces, plane, *shear, functions[:, 1])
+    return _Moduli(plies.interfaces, plane, shear[0], shear[1], functions[:, 1])
 
 
 # A ply is core where its transverse shear modulus is below this part of the largest.

@@ -87,6 +87,8 @@ _SLOW: Final = {
 }
 # Seconds of the small effort over those of the full one, by kind, of all tables; it searches no angles.
 _QUICK_SHARE: Final = {"forward": 0.1, "constants": 0.16, "noise": 0.19}
+# Plates whose angles are sought, and those whose layups are all weighed: of the others that takes hours.
+_ANGLES_OF: Final[Mapping[str, tuple[str, ...]]] = {"angles": ("C1", "C3", "D1", "D3"), "layups": ("C1",)}
 _NOISE: Final = {number: name for name, number in TABLES.items()}
 
 
@@ -106,8 +108,8 @@ def tasks_of(number: int, seed: int) -> tuple[Task, ...]:
         name = _NOISE[number]
         point = Task("constants", name, *((TWO, 8) if name == "A2" else (BUILT_IN, 9)), seed)
         noise = Task("noise", name, BUILT_IN, number, seed)
-        layups = (Task(kind, name, BUILT_IN, number, seed) for kind in OF_FULL_EFFORT)
-        return (noise, point) if name == "A2" else (noise, point, *layups)
+        kinds = (k for k in OF_FULL_EFFORT if name in _ANGLES_OF[k])
+        return (noise, point, *(Task(kind, name, BUILT_IN, number, seed) for kind in kinds))
     return ()
 
 
