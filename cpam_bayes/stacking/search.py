@@ -226,7 +226,8 @@ def noisier_seeds(
 ) -> Array | None:
     """The best sequences (m, k) for the same frequencies with more noise; ``None`` where noise is not small.
 
-    No sequence drawn evenly is next to the posterior of a list with very little noise.
+    No sequence drawn evenly is next to the posterior of a list with very little noise: of lists of C1 with
+    0.07 % the training met the true sequence with both seeds that were tried, without these with one.
     """
     noisier = _with_more_noise(problem)
     if noisier is None:
