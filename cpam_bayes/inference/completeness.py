@@ -230,8 +230,9 @@ _GRID = 21
 _BEYOND, _NEAR = 0.15, 0.05
 # Draws that starts are chosen from.
 _CANDIDATES = 4000
-# Times that points start again from their neighbours' ends, and the gain in nats that makes a step worth it.
-_SWEEPS, _BETTER = 4, 1e-4
+# Times that points start again from their neighbours' ends, the gain in nats that makes it worth it, and that
+# which a step must promise.
+_SWEEPS, _BETTER, _PROMISED = 4, 1e-4, 1e-6
 _STEPS = 40
 
 
@@ -355,7 +356,7 @@ def _maximise_again(
         curvature = np.where(crossed, np.eye(at.shape[1]), expansion.curvature)
         return Expansion(expansion.value, np.where(fixed, 0.0, expansion.gradient), curvature)
 
-    optimum = maximise(target, start, axes.lower, axes.upper, most_steps=_STEPS, promised=_BETTER)
+    optimum = maximise(target, start, axes.lower, axes.upper, most_steps=_STEPS, promised=_PROMISED)
     higher = optimum.expansion.value > value[which] + _BETTER
     u[which[higher]], value[which[higher]] = optimum.u[higher], optimum.expansion.value[higher]
     return which[higher]
