@@ -87,7 +87,7 @@ _SLOW: Final = {
 }
 # Seconds of the small effort over those of the full one, by kind, of all tables; it searches no angles.
 _QUICK_SHARE: Final = {"forward": 0.1, "constants": 0.16, "noise": 0.19}
-# Plates whose angles are sought, and whose layups are all weighed: three lists of a thick plate take too long for a table.
+# Plates whose angles are sought, and whose layups are all weighed: the thick plates take far longer.
 _ANGLES_OF: Final[Mapping[str, tuple[str, ...]]] = {
     "angles": ("C1", "C3", "D1", "D3"),
     "layups": ("C1", "C3"),
