@@ -41,6 +41,7 @@ from cpam_bayes.mechanics.problem import (
     laminate_coefficients,
 )
 from cpam_bayes.parameters import LogUniform, Parameter
+from cpam_bayes.plate import split_name
 from cpam_bayes.plate.laminate import SHEAR, LaminateGeometry, reduced_stiffness, thickness_powers
 
 # Transverse shear moduli of a composite are within this factor, as a logarithm, of what is assumed of them.
@@ -62,10 +63,16 @@ def rotated(geometry: LaminateGeometry, angle_deg: Array) -> LaminateGeometry:
         turn[..., cosine, sine] = -np.sin(k * a)
 
     def of_layup(functions: Array) -> Array:
-        return np.asarray(np.einsum("...ij,...j->...i", turn, functions))
+        """(..., 5 n), the functions of each material."""
+        apart = functions.reshape(*functions.shape[:-1], -1, 5)
+        turned = np.einsum("...ij,...mj->...mi", turn, apart)
+        return np.asarray(turned.reshape(*turned.shape[:-2], -1))
 
     def of_points(functions: Array) -> Array:
-        return np.asarray(np.einsum("...ij,...pj->...pi", turn, functions))
+        """(..., n_points, 5 n)."""
+        apart = functions.reshape(*functions.shape[:-1], -1, 5)
+        turned = np.einsum("...ij,...pmj->...pmi", turn, apart)
+        return np.asarray(turned.reshape(*turned.shape[:-2], -1))
 
     return replace(
         geometry,
@@ -263,14 +270,19 @@ def _scaled_shear(factor: Array, stiffness: Array) -> Array:
 
 
 def _shear_ratio(problem: Problem, facts: PlateFacts) -> Problem:
-    """G13 (1 + r)."""
+    """G13 (1 + r), of each material."""
     del facts
     return with_state(problem, _of_other_g13)
 
 
 def _of_other_g13(state: PlateState, values: Values) -> PlateState:
-    g13 = np.asarray(state.constants["G13"]) * (1.0 + values["shear_ratio_deviation"])
-    return replace(state, constants={**state.constants, "G13": g13})
+    factor = 1.0 + values["shear_ratio_deviation"]
+    of_each = {
+        name: np.asarray(value) * factor
+        for name, value in state.constants.items()
+        if split_name(name)[1] == "G13"
+    }
+    return replace(state, constants={**state.constants, **of_each})
 
 
 def _resin_skin(problem: Problem, facts: PlateFacts) -> Problem:

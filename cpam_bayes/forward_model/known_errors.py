@@ -44,6 +44,7 @@ from cpam_bayes.plate.laminate import (
     rotated_stiffness,
     stiffness_invariants,
 )
+from cpam_bayes.plate.layup import Layup
 
 Array = NDArray[Any]
 
@@ -113,10 +114,13 @@ def _by_edges(specimen: Specimen) -> float:
 def shear_frequency(specimen: Specimen, frequencies: ArrayLike) -> Array:
     """Angular frequency times the time of a shear wave through the thickness, 2 pi f h (rho / G13)^1/2.
 
+    1 / G13 is its mean over the thickness.
+
     frequencies : (n,) Hz.
     """
-    plate = specimen.plate
-    slowness = np.sqrt(plate.density / reference_constants(specimen)["G13"])
+    plate, plies = specimen.plate, _moduli(reference_constants(specimen), specimen.plate.layup)
+    compliance = np.diff(plies.interfaces) @ (1.0 / plies.g13)
+    slowness = np.sqrt(plate.density * compliance)
     return np.asarray(2.0 * np.pi * np.asarray(frequencies) * plate.thickness * slowness)
 
 
@@ -130,31 +134,56 @@ def edge_layer(specimen: Specimen, axis: int) -> float:
     (a b)^1/2 is given in units of the bending energy and of the thickness. It vanishes where all plies
     are alike.
     """
-    angles = specimen.plate.layup.angles_deg
-    constants = reference_constants(specimen)
-    n = len(angles)
-    invariants = stiffness_invariants(reduced_stiffness(constants))
-    entries = rotated_stiffness(invariants, angle_functions(angles))
-    ply = np.empty((n, 3, 3))
-    ply[:, _ROWS, _COLUMNS] = ply[:, _COLUMNS, _ROWS] = entries
-    stiffness = np.repeat(ply, _POINTS, axis=0)
-    compliance = np.repeat(np.linalg.inv(ply), _POINTS, axis=0)
-    z = (np.arange(n * _POINTS) + 0.5) / (n * _POINTS) - 0.5
-    step = 1.0 / z.size
+    plies = _moduli(reference_constants(specimen), specimen.plate.layup)
+    ply = np.empty((len(plies.g13), 3, 3))
+    ply[:, _ROWS, _COLUMNS] = ply[:, _COLUMNS, _ROWS] = plies.plane
+    stiffness, compliance = (np.repeat(each, _POINTS, axis=0) for each in (ply, np.linalg.inv(ply)))
+    thickness = np.diff(plies.interfaces)
+    z = (plies.interfaces[:-1, None] + thickness[:, None] * (np.arange(_POINTS) + 0.5) / _POINTS).ravel()
+    step = np.repeat(thickness / _POINTS, _POINTS)
     powers = np.stack((np.ones_like(z), z))
-    moments = np.einsum("pk,qk,kij->piqj", powers, powers, stiffness).reshape(6, 6) * step
+    moments = np.einsum("pk,qk,kij,k->piqj", powers, powers, stiffness, step).reshape(6, 6)
     strains = np.linalg.solve(moments, np.eye(6)[4 - axis]).reshape(2, 3)
     stress = np.einsum("kij,pk,pj->ki", stiffness, powers, strains)
-    energy = np.einsum("ki,kij,kj->", stress, compliance, stress) * step
+    energy = np.einsum("ki,kij,kj,k->", stress, compliance, stress, step)
     left = np.zeros_like(stress)
     across = [axis, 2]
     # what is constant or linear in z has a resultant, which the theory's own edge layer takes away
-    linear = powers.T @ np.linalg.lstsq(powers.T, stress[:, across], rcond=None)[0]
+    weights = powers * step
+    linear = powers.T @ np.linalg.solve(weights @ powers.T, weights @ stress[:, across])
     left[:, across] = stress[:, across] - linear
-    a = np.einsum("ki,kij,kj->", left, compliance, left) * step
-    forces = np.cumsum(left[:, across], axis=0) * step
-    b = np.sum(forces**2) * step / constants["G13"]
+    a = np.einsum("ki,kij,kj,k->", left, compliance, left, step)
+    forces = np.cumsum(left[:, across] * step[:, None], axis=0)
+    b = np.sum(forces**2, axis=1) @ (step / np.repeat(plies.g13, _POINTS))
     return float(np.sqrt(a * b) / energy)
+
+
+@dataclass(frozen=True, slots=True)
+class _Moduli:
+    """Moduli of n plies in the directions of the plate.
+
+    interfaces : (n + 1,) z / h. plane : (n, 6), as of ``rotated_stiffness``. g13, g23 : (n,) along and across
+        the fibres, Pa. turn : (n,) cos 2t
+    """
+
+    interfaces: Array
+    plane: Array
+    g13: Array
+    g23: Array
+    turn: Array
+
+
+def _moduli(constants: Mapping[str, ArrayLike], layup: Layup) -> _Moduli:
+    """The moduli of the plies of a known layup, each by the constants of its material."""
+    plies = layup.plies or equal_plies(layup.n_plies)
+    functions = angle_functions(layup.angles_deg)
+    plane, shear = np.empty((layup.n_plies, 6)), np.empty((2, layup.n_plies))
+    for k, name in enumerate(plies.names):
+        here = plies.material == k
+        own = constants_of(constants, name)
+        plane[here] = rotated_stiffness(stiffness_invariants(reduced_stiffness(own)), functions[here])
+        shear[:, here] = [[float(np.real(own[g]))] for g in ("G13", "G23")]
+    return _Moduli(plies.interfaces, plane, shear[0], shear[1], functions[:, 1])
 
 
 # A ply is core where its transverse shear modulus is below this part of the largest.
@@ -195,18 +224,16 @@ def sandwich_error(
     shear = np.real(state.stiffness())[[7, 6], [7, 6]]
     edges = conditions(specimen.plate.edges)
     clamped = [edges[axis].is_clamp + edges[axis + 2].is_clamp for axis in (0, 1)]
-    of_axes = (_of_waves(state, layup.angles_deg, k, shear[k], clamped[k], omega2) for k in (0, 1))
+    of_axes = (_of_waves(state, layup, k, shear[k], clamped[k], omega2) for k in (0, 1))
     return np.maximum(*of_axes)
 
 
-def _of_waves(
-    state: PlateState, angles_deg: Array, axis: int, shear: float, clamped: int, omega2: Array
-) -> Array:
+def _of_waves(state: PlateState, layup: Layup, axis: int, shear: float, clamped: int, omega2: Array) -> Array:
     """e of waves along an axis (0: x, 1: y), (n,).
 
     shear : A_s across it, N/m. clamped : number of its ends that are. omega2 : (n,), (rad/s)^2.
     """
-    bending, of_faces = _bending(state, angles_deg, axis)
+    bending, of_faces = _bending(state, layup, axis)
     r = of_faces / bending
     by_shear = state.density * state.thickness * omega2 / shear
     by_bending = state.density * state.thickness * omega2 / bending
@@ -217,19 +244,12 @@ def _of_waves(
     return np.asarray(np.minimum(of_waves + clamped * held * y / (1.0 + y), 1.0))
 
 
-def _bending(state: PlateState, angles_deg: Array, axis: int) -> tuple[float, float]:
+def _bending(state: PlateState, layup: Layup, axis: int) -> tuple[float, float]:
     """Bending stiffness along an axis, N m, of the whole plate and of its faces about their own middles."""
-    plies = state.plies or equal_plies(angles_deg.size)
-    functions = angle_functions(angles_deg)
-    modulus, shear = np.empty(angles_deg.size), np.empty(angles_deg.size)
-    for k, name in enumerate(plies.names):
-        here = plies.material == k
-        constants = constants_of(state.constants, name)
-        invariants = stiffness_invariants(reduced_stiffness(constants))
-        modulus[here] = rotated_stiffness(invariants, functions[here])[:, (0, 2)[axis]]
-        g13, g23 = (float(np.real(constants[g])) for g in ("G13", "G23"))
-        turn = functions[here, 1] * (1.0, -1.0)[axis]
-        shear[here] = (g13 + g23) / 2.0 + (g13 - g23) / 2.0 * turn
+    plies = _moduli(state.constants, layup)
+    modulus = plies.plane[:, (0, 2)[axis]]
+    along, across = plies.g13, plies.g23
+    shear = (along + across) / 2.0 + (along - across) / 2.0 * plies.turn * (1.0, -1.0)[axis]
     z = plies.interfaces * float(state.thickness)
     moments = np.array([modulus * np.diff(z**k) / k for k in (1, 2, 3)])
     is_core = shear < _CORE * shear.max()

@@ -98,7 +98,6 @@ def require_diagnosable(specimen: Specimen) -> Specimen:
     """Return the specimen, or raise `PlateFileError` if what is wrong with it cannot be asked for."""
     problems = [
         *_not_computed(specimen, rectangular_only("diagnose")),
-        *_named_plies(specimen),
         *_unknown_angles(specimen),
     ]
     if specimen.measurement is None:
@@ -136,17 +135,6 @@ def _not_computed(specimen: Specimen, no_mesh: str | None, no_air: str | None = 
     if air and no_air is not None:
         problems.append(f"environment.air_density_kg_m3: received {air:g}, {no_air}")
     return problems
-
-
-def _named_plies(specimen: Specimen) -> list[str]:
-    """Why what is wrong with plies of several materials or thicknesses cannot be asked, if there are some."""
-    layup = specimen.plate.layup
-    if not layup.kinds:
-        return []
-    return [
-        f"plate.layup: received {layup.text} with tables [[ply]], accepted: equal plies of one material, of "
-        "which the errors of plies and of the theory are known; `identify` and `sequence` take several"
-    ]
 
 
 def _angles_asked(specimen: Specimen) -> list[str]:

@@ -33,7 +33,7 @@ from cpam_bayes.inference.proposal import (
     refitted_moments,
 )
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
-from cpam_bayes.plate import Material, Measurement, Specimen
+from cpam_bayes.plate import Measurement, Specimen
 
 Model = ReducedModel | LabelledModel
 
@@ -53,8 +53,6 @@ def scatter(specimen: Specimen, model: Model, x: Array, error: Array | None = No
     """
     full, order = model.full, list_order(model, x)
     by_solver = np.hypot(full.error if error is None else error, model.tolerance)[order]
-    if not isinstance(specimen.material, Material):
-        return np.asarray(by_solver)
     return np.hypot(by_solver, theory_error(specimen, full.predict(x[None]).frequencies[0, order]))
 
 

@@ -170,18 +170,23 @@ def power_scaling(
     import arviz_base  # heavy
     import arviz_stats
 
-    components = {"prior": log_prior, "noise": log_noise_prior, "likelihood": log_likelihood}
-    posterior = {name: draws[None, :, i] for i, name in enumerate(names)}
+    priors, likelihood = {"prior": log_prior, "noise": log_noise_prior}, {"likelihood": log_likelihood}
+    data = arviz_base.from_dict(
+        {
+            "posterior": {name: draws[None, :, i] for i, name in enumerate(names)},
+            "log_prior": {component: values[None] for component, values in priors.items()},
+            "log_likelihood": {component: values[None] for component, values in likelihood.items()},
+        }
+    )
     scaled = {}
-    for component, values in components.items():
+    for component, values in {**priors, **likelihood}.items():
         if np.ptp(values) == 0.0:
             scaled[component] = dict.fromkeys(names, 0.0)
             continue
-        group = "likelihood" if component == "likelihood" else "prior"
+        group = "likelihood" if component in likelihood else "prior"
         with warnings.catch_warnings():  # tails that are too short to smooth
             warnings.simplefilter("ignore")
-            data = arviz_base.from_dict({"posterior": posterior, f"log_{group}": {"all": values[None]}})
-            sensitivity = arviz_stats.psense(data, group=group)
+            sensitivity = arviz_stats.psense(data, group=group, group_var_names=[component])
         scaled[component] = {name: float(sensitivity[name]) for name in names}
     return tuple(
         PowerScaling(name, scaled["prior"][name], scaled["noise"][name], scaled["likelihood"][name])

@@ -26,6 +26,8 @@ _DOUBTFUL_LOG_ODDS = float(np.log(100.0))
 # Draws from the prior, and those of them from which an optimum is sought for each pairing.
 _DRAWS, _STARTS = 300, 3
 _MAX_STEPS = 25
+# Gain in nats below which an optimum is good enough for odds that count from a hundred on.
+_FOR_ODDS = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +196,7 @@ def _evidence(
         return expand_u(paired, axes, u)
 
     u = axes.to_u(np.clip(starts, axes.inner, axes.outer))
-    maxima = maximise(target, u, axes.lower, axes.upper, most_steps=_MAX_STEPS)
+    maxima = maximise(target, u, axes.lower, axes.upper, most_steps=_MAX_STEPS, promised=_FOR_ODDS)
     inside = np.isfinite(maxima.expansion.value)
     if not inside.any():
         return -np.inf, starts[0]
@@ -228,8 +230,9 @@ _GRID = 21
 _BEYOND, _NEAR = 0.15, 0.05
 # Draws that starts are chosen from.
 _CANDIDATES = 4000
-# Times that points start again from their neighbours' ends, and the gain in nats that makes it worth it.
-_SWEEPS, _BETTER = 4, 1e-4
+# Times that points start again from their neighbours' ends, the gain in nats that makes it worth it, and that
+# which a step must promise.
+_SWEEPS, _BETTER, _PROMISED = 4, 1e-4, 1e-6
 _STEPS = 40
 
 
@@ -353,7 +356,7 @@ def _maximise_again(
         curvature = np.where(crossed, np.eye(at.shape[1]), expansion.curvature)
         return Expansion(expansion.value, np.where(fixed, 0.0, expansion.gradient), curvature)
 
-    optimum = maximise(target, start, axes.lower, axes.upper, most_steps=_STEPS)
+    optimum = maximise(target, start, axes.lower, axes.upper, most_steps=_STEPS, promised=_PROMISED)
     higher = optimum.expansion.value > value[which] + _BETTER
     u[which[higher]], value[which[higher]] = optimum.u[higher], optimum.expansion.value[higher]
     return which[higher]

@@ -231,18 +231,15 @@ def start_positions(
     weight = np.exp(height - height.max())
     chosen = rng.choice(len(optima), size=n, p=weight / weight.sum())
     lower, upper = posterior.parameters.lower, posterior.parameters.upper
-    found = np.empty((n, posterior.parameters.size))
-    for i, k in enumerate(chosen):
-        factor = np.linalg.cholesky(optima[k].covariance)
-        widen = 1.0
-        while True:
-            x = optima[k].optimum + widen * factor @ rng.standard_normal(len(factor))
-            x = lower + np.abs(x - lower)
-            x = np.maximum(upper - np.abs(upper - x), lower)
-            if np.isfinite(posterior.log_prob(x[None])[0]):
-                break
-            widen = max(0.9 * widen, 1e-3)  # at a constraint of the material
-        found[i] = x
+    centre = np.array([o.optimum for o in optima])[chosen]
+    factor = np.linalg.cholesky(np.array([o.covariance for o in optima]))[chosen]
+    found, widen, missing = np.empty((n, posterior.parameters.size)), 1.0, np.arange(n)
+    while len(missing):
+        away = widen * factor[missing] @ rng.standard_normal((len(missing), factor.shape[1], 1))
+        x = lower + np.abs(centre[missing] + away[..., 0] - lower)
+        found[missing] = np.maximum(upper - np.abs(upper - x), lower)
+        missing = missing[~np.isfinite(posterior.log_prob(found[missing]))]
+        widen = max(0.9 * widen, 1e-3)  # at a constraint of the material
     return found
 
 

@@ -13,7 +13,7 @@ from cpam_bayes.command import EXECUTOR, TIME_LIMIT, WORKERS, Command, option, w
 from cpam_bayes.errors import checked
 from cpam_bayes.formatting import decimals_of, fixed, probable, signed, significant
 from cpam_bayes.forward_model.known_errors import ScaleError, absorbed
-from cpam_bayes.forward_model.model import air_shifts, converged_model, with_references
+from cpam_bayes.forward_model.model import air_shifts, with_references
 from cpam_bayes.forward_model.preconditions import (
     count_slips,
     exchange_notices,
@@ -242,10 +242,9 @@ def stacking_result(
         specimen.unknowns,
     )
     listed = np.flatnonzero(fit.mode >= 0)
-    model = converged_model(layup, unknowns, int(fit.mode.max(initial=0)) + 1)
     taken_up = absorbed(
         layup,
-        model,
+        answer.conditional.model.full,
         {name: fit.constants[name] for name in unknowns.names},
         fit.mode[listed],
         {name: unknowns[name].prior.sd for name in unknowns.names},

@@ -443,11 +443,9 @@ def attached_step(specimen: Specimen) -> tuple[str, ...]:
     )
 
 
-def diagnose_step(specimen: Specimen) -> tuple[str, ...]:
-    """To ask what the model gets wrong, where `diagnose` takes the plate."""
-    if specimen.plate.layup.kinds:
-        return ()
-    return (f"is anything wrong with the plate or the list?  cpam-bayes diagnose {plate_argument(specimen)}",)
+def diagnose_step(specimen: Specimen) -> str:
+    """To ask what the model gets wrong."""
+    return f"is anything wrong with the plate or the list?  cpam-bayes diagnose {plate_argument(specimen)}"
 
 
 def more_modes_step(constants: Sequence[Constant]) -> tuple[str, ...]:

@@ -75,6 +75,7 @@ class Enumeration:
     probable, else ``None``.
     threshold : sequences with this log evidence or more are listed one by one, the others are summed.
     share : of every so many choices of the last plies one is looked at, where none is near the threshold.
+    mixed : in which order they are shared out, (g^n_inner,); ``None`` where all are looked at.
     """
 
     table: PiecewiseLinearSurrogate | None
@@ -84,6 +85,7 @@ class Enumeration:
     threshold: float
     every: Array | None = None
     share: int = 1
+    mixed: Array | None = None
 
     @property
     def n_inner(self) -> int:
@@ -243,7 +245,7 @@ def _values(enumeration: Enumeration, prefixes: Array, share: int = 1) -> Iterat
         return
     both = enumeration.sums.both
     total = all_choices(both[n_outer:]).astype(np.float32)
-    mixed = np.random.default_rng(0).permutation(len(total)) if share > 1 else np.arange(len(total))
+    mixed = np.arange(len(total)) if enumeration.mixed is None else enumeration.mixed
     parts = []
     for i in range(share):
         choices = np.sort(mixed[i::share])

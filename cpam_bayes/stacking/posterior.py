@@ -38,7 +38,7 @@ from cpam_bayes.inference.student_mixture import Weighted, weighted
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.parallel import counted, run
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate import Material, Specimen, angle_grid
+from cpam_bayes.plate import Specimen, angle_grid
 from cpam_bayes.running import TimeIsUpError, cut_short, single_blas_thread, time_limit
 from cpam_bayes.stacking.conditional import ConditionalFits, ConditionalPosterior, conditional_posterior
 from cpam_bayes.stacking.evaluation import of_sequence, scan_library
@@ -137,8 +137,6 @@ def stacking_problem(
 
 def _theory_error(specimen: Specimen, model: ReducedModel, grid: Array, rng: np.random.Generator) -> Array:
     """Relative sd of first-order theory, (n_modes,): root mean square over sequences of the grid."""
-    if not isinstance(specimen.material, Material):
-        return np.zeros(model.n_modes)
     layup, squared = specimen.plate.layup, np.zeros(model.n_modes)
     x = reference_vector(specimen, model.parameters)
     for angles in rng.choice(grid, size=(_THEORY_SEQUENCES, layup.n_unknown)):

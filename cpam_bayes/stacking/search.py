@@ -226,7 +226,8 @@ def noisier_seeds(
 ) -> Array | None:
     """The best sequences (m, k) for the same frequencies with more noise; ``None`` where noise is not small.
 
-    No sequence drawn evenly is next to the posterior of a list with very little noise.
+    No sequence drawn evenly is next to the posterior of a list with very little noise: of lists of C1 with
+    0.07 % the training met the true sequence with both seeds that were tried, without these with one.
     """
     noisier = _with_more_noise(problem)
     if noisier is None:
@@ -372,6 +373,7 @@ def _pilot(
         return PilotEnumeration(enumeration, _enumerated(enumeration, executor), 1.0)
     slack = float(np.clip(surrogate.largest_error, 0.2, 3.0))
     share = max(1, round(problem.n_sequences / _MAX_SUMMED))
+    mixed = rng.permutation(len(problem.grid_deg) ** INNER) if share > 1 else None
     depth = _first_depth(sums, surrogate, margin * settings.unaccounted, executor, rng)
     while True:
         table = piecewise_linear_surrogate(
@@ -384,7 +386,7 @@ def _pilot(
             surrogate.freedom,
             executor,
         )
-        enumeration = Enumeration(table, sums, surrogate.top, negation, np.inf, share=share)
+        enumeration = Enumeration(table, sums, surrogate.top, negation, np.inf, share=share, mixed=mixed)
         visited = prefixes_to_visit(enumeration)
         pilot = np.sort(rng.choice(visited, size=min(_PILOT_PREFIXES, len(visited)), replace=False))
         partial = _enumerated(enumeration, executor, prefixes=pilot)

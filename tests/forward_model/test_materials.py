@@ -11,7 +11,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 import cpam_bayes as cb
-from cpam_bayes.errors import PlateFileError
 from cpam_bayes.forward_model.build import model_key
 from cpam_bayes.forward_model.calculix import solve_modes
 from cpam_bayes.forward_model.known_errors import LIMIT, sandwich_error
@@ -132,17 +131,6 @@ def test_a_model_is_of_one_hybrid() -> None:
     dense = hybrid()
     dense["material"]["glass"] = {**GLASS, "density_kg_m3": 2000.0}
     assert len({key(plate) for plate in (HYBRID, exchanged, heights, dense)}) == 4
-
-
-@pytest.mark.parametrize("question", [cb.diagnose, cb.report])
-def test_what_takes_plates_of_one_material_says_so(question: Any) -> None:
-    plate = hybrid()
-    plate["unknowns"] = {"glass": {"E1_GPa": [20.0, 60.0]}}
-    plate["measurement"] = {"frequencies_hz": [109.3, 202.1, 248.2]}
-    with pytest.raises(PlateFileError) as error:
-        question(plate)
-    assert len(error.value.problems) == 1
-    assert "equal plies of one material" in str(error.value)
 
 
 # Sandwiches

@@ -23,6 +23,7 @@ from cpam_bayes.forward_model.model import (
 from cpam_bayes.plate import Specimen, builtin
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.render.plate import air_text
+from tests.hybrids import hybrid
 from tests.plate_file import described
 
 SAVED = Path(__file__).parents[2] / "studies" / "results" / "16_theory_error.json"
@@ -41,6 +42,27 @@ def test_plies_that_are_all_alike_leave_no_stress_at_a_free_edge_and_others_turn
     assert max(edge_layer(carbon(layup), axis) for axis in (0, 1)) < 1e-12
     here, turned = carbon("[0/30/-60/90]"), carbon("[90/-60/30/0]")
     assert edge_layer(here, 0) == pytest.approx(edge_layer(turned, 1), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("layup", "middle_mm", "tolerance"),
+    # one ply for two has half as many points, of an integral that is of first order in them
+    [("[a0/b45_2/a90]_s", 0.5, 1e-9), ("[a0/b45/a90]_s", 1.0, 0.01)],
+)
+def test_plies_of_two_equal_materials_have_the_error_of_one(
+    layup: str, middle_mm: float, tolerance: float
+) -> None:
+    plain = carbon("[0/45_2/90]_s", thickness_mm=4.0)
+    both = hybrid(length_mm=240.0, width_mm=180.0, thickness_mm=4.0, layup=layup)
+    both["ply"] = [
+        {"name": "a", "material": "a", "thickness_mm": 0.5},
+        {"name": "b", "material": "b", "thickness_mm": middle_mm},
+    ]
+    of_carbon = {"E1_GPa": 130.0, "E2_GPa": 9.0, "nu12": 0.3, "G12_GPa": 5.0, "density_kg_m3": 1580.0}
+    both["material"] = {"a": of_carbon, "b": of_carbon}
+    of_two, f = cb.read_plate(both), [300.0, 900.0]
+    assert_allclose(edge_layer(of_two, 0), edge_layer(plain, 0), rtol=tolerance)
+    assert_allclose(theory_error(of_two, f), theory_error(plain, f), rtol=tolerance)
 
 
 def test_edge_layer_is_thin_where_plies_alternate_often() -> None:

@@ -240,13 +240,14 @@ def test_walkers_start_on_both_optima_of_a_swarm_with_duplicates_and_infeasible_
 
 
 class CountedDraws(np.random.Generator):
-    """Counts how often walkers are drawn."""
+    """Counts the walkers that are drawn."""
 
     draws = 0
 
     def standard_normal(self, *args: Any, **kwargs: Any) -> Any:
-        self.draws += 1
-        return super().standard_normal(*args, **kwargs)
+        found = super().standard_normal(*args, **kwargs)
+        self.draws += len(found)
+        return found
 
 
 def test_walkers_about_an_optimum_in_a_corner_of_the_bounds_are_drawn_once_each() -> None:

@@ -171,9 +171,11 @@ def test_the_list_holds_all_above_the_threshold_and_the_sums_all_below(sums: Ply
     assert piece.kept == inside.sum()
 
 
-def test_a_share_of_the_sequences_stands_for_all_but_those_that_are_listed(sums: PlySums) -> None:
-    threshold = -0.5
-    whole, own = (replace(enumerator(sums, -12.0, threshold=threshold), share=share) for share in (1, 3))
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_share_of_the_sequences_stands_for_all_but_those_that_are_listed(sums: PlySums, seed: int) -> None:
+    whole = replace(enumerator(sums, -12.0), threshold=-0.5)
+    mixed = np.random.default_rng(seed).permutation(len(GRID) ** whole.n_inner)
+    own = replace(whole, share=3, mixed=mixed)
     every, some = (enumerate_prefixes(of, prefixes_to_visit(of)) for of in (whole, own))
     assert 0 < len(every.listed) < 400
     np.testing.assert_array_equal(some.listed, every.listed)

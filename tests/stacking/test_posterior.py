@@ -23,9 +23,9 @@ from cpam_bayes.stacking.conditional import (
 from cpam_bayes.stacking.evaluation import NEAR
 from cpam_bayes.stacking.posterior import common_starts, stacking_posterior, stacking_problem
 from cpam_bayes.stacking.records import DEFAULT_SETTINGS, StackingPosterior, StackingSettings
-from cpam_bayes.stacking.search import noisier_seeds, training_problem
+from cpam_bayes.stacking.search import noisier_seeds
 from cpam_bayes.stacking.symmetry import all_sequences, members
-from cpam_bayes.stacking.training import TrainingSettings, train
+from cpam_bayes.stacking.training import TrainingSettings
 from tests.stacking.cases import TRUE, listed
 
 QUICK = StackingSettings(draws=50, listed=72, log2_points=7)
@@ -165,26 +165,20 @@ def test_the_surrogate_does_not_depend_on_the_number_of_workers(
 
 
 @pytest.mark.slow
-def test_what_would_be_good_with_more_noise_leads_to_a_truth_that_few_sequences_do_not_show() -> None:
+def test_the_truth_is_among_the_few_sequences_that_are_good_with_more_noise() -> None:
     layup, truth, step = "[(?/?/?)_2]_s", (30.0, -60.0, 10.0), 10.0
     few = TrainingSettings(initial=60, exploration_rounds=3, each_round=40, max_size=180, log2_points=4)
     settings = replace(QUICK, exhaustive=0, training=few)
     # so thin that the error of theory leaves the peak as narrow as the noise makes it
     problem = stacking_problem(listed(layup, step, truth, 0.001, 0.0008), 0, settings=settings)
     assert problem.sums is not None
-    seeds = noisier_seeds(problem, problem.sums, np.random.default_rng(0), lambda text: None)
-    assert seeds is not None
     true = members(np.searchsorted(problem.grid_deg, truth), problem.symmetries)
-    training = training_problem(problem, problem.sums)
-    found = []
-    for start in (seeds, None):
-        for seed in range(3):
-            best = train(training, np.random.default_rng(seed), lambda text: None, start)
-            first = best.data.sequences[best.data.log_evidence.argmax()]
-            found.append(bool(np.any(np.all(true == first, axis=1))))
-    # of 5832 sequences 180 are looked at; of the first six seeds three are led to the truth, by luck two are
-    assert found[:3] == [True, True, True]
-    assert sum(found[3:]) <= 1
+    for seed in (0, 1):
+        seeds = noisier_seeds(problem, problem.sums, np.random.default_rng(seed), lambda text: None)
+        assert seeds is not None
+        assert any(np.any(np.all(true == one, axis=1)) for one in seeds)
+        # of 5832 sequences, of which 180 are looked at
+        assert len(seeds) < 20
     noisy = stacking_problem(listed(layup, step, truth), 0, settings=settings)
     assert noisier_seeds(noisy, problem.sums, np.random.default_rng(0), lambda text: None) is None
 

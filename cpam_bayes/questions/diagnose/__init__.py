@@ -43,6 +43,7 @@ from cpam_bayes.identification.joint import require_one_material
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, unit_of, user_name
 from cpam_bayes.questions.diagnose.claim import (
+    beyond_theory,
     checked_effects,
     claim_sentence,
     next_steps,
@@ -173,12 +174,10 @@ def diagnose(
             candidates = next_measurements(
                 diagnosis, always=always, scatter=scatter, executor=pool, notify=announce
             )
-    notices = (*_slips(diagnosis, specimens), *diagnosis_notices(diagnosis))
+    result = diagnosis_result(diagnosis, seed, scatter, candidates)
+    notices = (*_slips(diagnosis, specimens), *diagnosis_notices(diagnosis), *beyond_theory(result))
     measurements = [s.measurement for s in specimens if s.measurement is not None]
-    return replace(
-        diagnosis_result(diagnosis, seed, scatter, candidates),
-        notices=each_once((*notices, *(n for m in measurements for n in m.notices))),
-    )
+    return replace(result, notices=each_once((*notices, *(n for m in measurements for n in m.notices))))
 
 
 def _slips(diagnosis: Diagnosis, specimens: Sequence[Specimen]) -> tuple[Notice, ...]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
 
-from cpam_bayes.answer import Verdict
+from cpam_bayes.answer import Notice, Verdict
 from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.extension import left_aside
 from cpam_bayes.diagnosis.fit import inferred_noise
@@ -16,7 +16,7 @@ from cpam_bayes.diagnosis.hypotheses import CLAIM_RULES, NONE, OTHER, Claim, cau
 from cpam_bayes.diagnosis.next_test import Candidate
 from cpam_bayes.effects import Effect
 from cpam_bayes.formatting import listed, significant
-from cpam_bayes.forward_model.known_errors import ScaleError, absorbed, number_of
+from cpam_bayes.forward_model.known_errors import ScaleError, absorbed, number_of, sandwich_notices
 from cpam_bayes.plate import Specimen
 from cpam_bayes.questions.diagnose.document import (
     FEW,
@@ -44,6 +44,7 @@ from cpam_bayes.render.sentences import (
 )
 
 __all__ = [
+    "beyond_theory",
     "checked_effects",
     "claim_sentence",
     "next_steps",
@@ -389,3 +390,11 @@ def scale_errors_of(d: Diagnosis, specimen: Specimen) -> tuple[ScaleError, ...]:
     prior_sd = {name: models.parameters[name].prior.sd for name in constants}
     taken_up = absorbed(specimen, models.bare.full, constants, case.modes[paired], prior_sd, paired)
     return taken_up.errors(usual=True)
+
+
+def beyond_theory(result: DiagnosisResult) -> Iterator[Notice]:
+    """Notices of sandwiches whose core is so soft that the error of the theory may be taken for a cause."""
+    rows = result.plain.frequencies
+    for specimen in result.plates:
+        modes = [row.mode for row in rows if row.plate == specimen.name and row.mode is not None]
+        yield from sandwich_notices(specimen, modes)

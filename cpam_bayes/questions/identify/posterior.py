@@ -219,7 +219,7 @@ def _steps(result: SampledResult, use: Sequence[str]) -> tuple[str, ...]:
         *((correction_step(result.texts()),) if result.explained_by else ()),
         *(("allow more steps: --steps N.",) if result.status == "budget" else ()),
         *(() if result.explained_by else mismatch),
-        *diagnose_step(specimen),
+        diagnose_step(specimen),
         *attached_step(specimen),
         *gauge_step(specimen, result.scale_errors, use),
         *more_modes_step(tuple(result.constants.values())),

@@ -451,7 +451,7 @@ def _steps(result: PointResult, use: Sequence[str]) -> tuple[str, ...]:
         steps = [correction_step(result.texts())]
     posterior = f"get the posterior of the constants.  cpam-bayes identify {plate} --backend emcee"
     if result.angles is None:
-        steps += [*diagnose_step(specimen), posterior]
+        steps += [diagnose_step(specimen), posterior]
     elif not specimen.plate.layup.kinds:  # the other commands want a known layup
         steps += [
             f"how probable is each layup?  cpam-bayes sequence {plate}",

@@ -51,6 +51,7 @@ from cpam_bayes.questions.paper.rows import (
 )
 from cpam_bayes.questions.paper.work import (
     FULL,
+    OF_FULL_EFFORT,
     QUICK,
     Effort,
     Task,
@@ -86,6 +87,11 @@ _SLOW: Final = {
 }
 # Seconds of the small effort over those of the full one, by kind, of all tables; it searches no angles.
 _QUICK_SHARE: Final = {"forward": 0.1, "constants": 0.16, "noise": 0.19}
+# Plates whose angles are sought, and whose layups are all weighed: the thick plates take far longer.
+_ANGLES_OF: Final[Mapping[str, tuple[str, ...]]] = {
+    "angles": ("C1", "C3", "D1", "D3"),
+    "layups": ("C1", "C3"),
+}
 _NOISE: Final = {number: name for name, number in TABLES.items()}
 
 
@@ -105,8 +111,8 @@ def tasks_of(number: int, seed: int) -> tuple[Task, ...]:
         name = _NOISE[number]
         point = Task("constants", name, *((TWO, 8) if name == "A2" else (BUILT_IN, 9)), seed)
         noise = Task("noise", name, BUILT_IN, number, seed)
-        angles = Task("angles", name, BUILT_IN, number, seed)
-        return (noise, point) if name == "A2" else (noise, point, angles)
+        kinds = (k for k in OF_FULL_EFFORT if name in _ANGLES_OF[k])
+        return (noise, point, *(Task(kind, name, BUILT_IN, number, seed) for kind in kinds))
     return ()
 
 
@@ -273,7 +279,7 @@ def computations(
 ) -> dict[Task, Results]:
     """The results of all tasks of some tables; those that are not known are computed and stored."""
     wanted = dict.fromkeys(task for n in reversed(numbers) for task in tasks_of(n, seed))
-    tasks = sorted((t for t in wanted if effort.full or t.kind != "angles"), key=_turn)
+    tasks = sorted((t for t in wanted if effort.full or t.kind not in OF_FULL_EFFORT), key=_turn)
     computed = {task: results for task in tasks if (results := known(task)) is not None}
     missing = [task for task in tasks if task not in computed]
     if not missing:

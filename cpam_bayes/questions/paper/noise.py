@@ -52,13 +52,14 @@ def noise_rows(table: PrintedTable, computed: Computed, sequences: Mapping[str, 
         return
     point = computed.get(("constants", specimen, TWO if specimen == "A2" else BUILT_IN))
     together = computed.get(("angles", specimen, BUILT_IN))
-    sources = [r.source for r in table.rows[1:]]
-    levels = dict(zip(sources, results["levels"], strict=True))
-    sought = {} if together is None else dict(zip(sources, together["levels"], strict=True))
+    levels = _by_source(table, results)
+    sought = _by_source(table, together)
+    weighed = _by_source(table, computed.get(("layups", specimen, BUILT_IN)))
     for row in table.rows:
         for quantity, cell in row.values.items():
             if quantity == "angles_deg":
-                yield _noisy_layup(table, row, cell, sequences["cases"].get(specimen), sought.get(row.source))
+                stored, level = sequences["cases"].get(specimen), weighed.get(row.source)
+                yield _noisy_layup(table, row, cell, stored, sought.get(row.source), level)
             elif row.source == WITHOUT_NOISE:
                 if point is not None:
                     why = f"see the same constant in {'Table 8' if specimen == 'A2' else 'Table 9(a)'}"
@@ -66,10 +67,17 @@ def noise_rows(table: PrintedTable, computed: Computed, sequences: Mapping[str, 
             else:
                 known = levels[row.source]["constants"][quantity]
                 both = sought[row.source]["constants"][quantity] if sought else {}
+                over_all = weighed[row.source]["constants"][quantity] if weighed else {}
                 groups = results["groups"] if together is None else together["groups"]
                 free = (results if together is None else together)["without_noise"][quantity]
-                ours = {**known, **both}
+                ours = {**known, **both, **{f"layups_{key}": v for key, v in over_all.items()}}
                 yield _noisy(table, row, quantity, cell, ours, groups, free, together is not None)
+
+
+def _by_source(table: PrintedTable, results: Mapping[str, Any] | None) -> dict[str, Any]:
+    """What was computed at each level, by the source of the printed row; nothing where nothing was."""
+    sources = (row.source for row in table.rows[1:])
+    return {} if results is None else dict(zip(sources, results["levels"], strict=True))
 
 
 def _noisy(
@@ -99,6 +107,7 @@ def _noisy(
         "printed_percent": float(cell.percent),
         "our_percent": 100.0 * (mean / free - 1.0),
         "posterior_mean": ours["posterior_mean"],
+        **{key: value for key, value in ours.items() if key.startswith("layups_")},
     }
     return row_of(table, row, quantity, cell, mean, judged, (ours["q025"], ours["q975"]), details)
 
@@ -135,6 +144,7 @@ def _noisy_layup(
     cell: PrintedValue,
     stored: Mapping[str, Any] | None,
     sought: Mapping[str, Any] | None,
+    weighed: Mapping[str, Any] | None,
 ) -> Row:
     if row.source == WITHOUT_NOISE and stored is not None:
         return layup_row(table, row, cell, stored)
@@ -142,7 +152,15 @@ def _noisy_layup(
         why = "the searches of angles and constants together were left out"
         return row_of(table, row, "angles_deg", cell, None, (NOT_COMPUTED, why))
     found = NoisyAngles.of(table.number, row.source, cell.angles_deg, sought)
-    return row_of(table, row, "angles_deg", cell, found.means_deg, found.verdict, details=found.details)
+    details = {**found.details, **({} if weighed is None else _told(weighed))}
+    return row_of(table, row, "angles_deg", cell, found.means_deg, found.verdict, details=details)
+
+
+def _told(weighed: Mapping[str, Any]) -> dict[str, float]:
+    """What one list at a level tells of the angles: probabilities, and bits of each, the outermost first."""
+    kept = ("true_probability", "printed_probability", "most_bits", "credible_95_count")
+    bits = {f"bits_{i}": b for i, b in enumerate(weighed["bits"], 1)}
+    return {**{key: float(weighed[key]) for key in kept}, **bits}
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,15 +241,14 @@ def _away(angles_deg: Any, goal: Any) -> float:
     return float(np.sum(np.abs(_wrapped(angles_deg - goal))))
 
 
-def noisy_angles(rows: Iterable[Row]) -> str:
+def noisy_angles(rows: Sequence[Row]) -> str:
     """The worth of the means of angles of Tables 11 to 14, in words; "" where none was computed."""
     of_angles = [row for row in rows if "spread_1_deg" in row.details]
     if not of_angles:
         return ""
-    spreads = [[v or 0.0 for k, v in row.details.items() if k.startswith("spread_")] for row in of_angles]
-    outer, inner = (float(np.mean([s[i] for s in spreads])) for i in (0, -1))
+    outer, inner = _outer_and_inner(of_angles, "spread_")
     found = sum(int(row.details["found"] or 0) for row in of_angles)
-    return (
+    said = (
         "Angles and constants sought together by one fuzzy swarm, as the paper did, on ten perturbed lists "
         f"a level: {found} of {10 * len(of_angles)} inversions end at the printed angles or their mirror "
         "image. "
@@ -240,6 +257,53 @@ def noisy_angles(rows: Iterable[Row]) -> str:
         "All printed means are multiples of 5 degrees, which a mean of ten angles on that grid is by chance "
         "only."
     )
+    return " ".join(filter(None, (said, _weighed_angles(rows, inner > outer))))
+
+
+def _outer_and_inner(rows: Sequence[Row], key: str) -> tuple[float, float]:
+    """Means over the rows of a number of the outermost and of the innermost unknown ply."""
+    plies = [[v or 0.0 for k, v in row.details.items() if k.startswith(key)] for row in rows]
+    outer, inner = (float(np.mean([of_row[i] for of_row in plies])) for i in (0, -1))
+    return outer, inner
+
+
+def _weighed_angles(rows: Sequence[Row], inner_scatters: bool) -> str:
+    """What one list a level tells of the angles when all layups are weighed; "" where none were.
+
+    inner_scatters : whether the innermost angle scatters more over perturbed lists than the outermost
+    """
+    weighed = [row for row in rows if "bits_1" in row.details]
+    if not weighed:
+        return ""
+    outer, inner = _outer_and_inner(weighed, "bits_")
+    less = sum(
+        of_inner < of_outer for of_outer, of_inner in (_outer_and_inner([r], "bits_") for r in weighed)
+    )
+    true = max(row.details["true_probability"] or 0.0 for row in weighed)
+    of_constants = [row for row in rows if "layups_q025" in row.details]
+    inside = sum(_is_inside(row) for row in of_constants)
+    return (
+        f"All layups weighed by the first list of each level, its noise stated: it tells {outer:.2f} bits of "
+        f"the outermost angle and {inner:.2f} of the innermost, of {weighed[0].details['most_bits']:.2f} "
+        f"({len(weighed)} lists; less of the innermost in {less}). That inner plies are more sensitive to "
+        f"noise than outer ones, as the paper says, {_HOLDS[inner < outer, inner_scatters]}. The true layup "
+        f"has a probability of {true:.2g} at most; {inside} of {len(of_constants)} printed constants lie "
+        "within the 95 % intervals over all layups."
+    )
+
+
+# By whether less is told of the innermost angle, and whether it scatters more.
+_HOLDS: Final = {
+    (True, True): "holds by the bits and by the scatter of the inversions",
+    (True, False): "holds by the bits, not by the scatter of the inversions",
+    (False, True): "holds by the scatter of the inversions, not by the bits",
+    (False, False): "holds neither by the bits nor by the scatter of the inversions",
+}
+
+
+def _is_inside(row: Row) -> bool:
+    low, high = row.details["layups_q025"], row.details["layups_q975"]
+    return low is not None and high is not None and low <= float(row.printed) <= high
 
 
 @dataclass(frozen=True, slots=True)

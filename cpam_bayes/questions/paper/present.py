@@ -8,31 +8,24 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, Final
-
-import numpy as np
+from typing import Any, Final
 
 from cpam_bayes.formatting import listed, signed, significant
-from cpam_bayes.printed.tables import AGREEMENTS, PAPER
+from cpam_bayes.printed.tables import AGREEMENTS
+from cpam_bayes.questions.paper.drawings import OF_THE_PAPER, Record, drawings
 from cpam_bayes.questions.paper.rows import (
     AGREES,
     BUILT_IN,
-    FOUR,
     INPUT,
-    MISPRINTED,
     NOT_COMPUTED,
     NOT_REPRODUCIBLE,
-    TWO,
     UNTOLD,
     VERDICTS,
     WITHIN,
 )
-from cpam_bayes.render.figures import new_figure
 from cpam_bayes.render.report import (
     COMPUTATION,
-    Caption,
     Column,
-    Drawing,
     Report,
     Rows,
     Section,
@@ -41,15 +34,8 @@ from cpam_bayes.render.report import (
 )
 from cpam_bayes.render.terminal import duration
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 __all__ = ["page", "report_of", "row_table"]
 
-Record = Mapping[str, Any]
-"""A row of the JSON document."""
-
-_OF_THE_PAPER: Final = (PAPER, f"{PAPER}, two constants")
 _FREQUENCY_TABLES: Final = (1, 5)
 # Misfit of the plain model, %, from which on a plate's list is not that of the printed plate.
 _UNEXPLAINED_PERCENT: Final = 5.0
@@ -217,6 +203,32 @@ _PERCENTAGES: Final = (
     _of("possible_percent", "possible %", lambda ends: " to ".join(f"{v:.1f}" for v in ends)),
     _of("agreement"),
 )
+
+
+def _by_ply(key: str, form: str, row: Record) -> str:
+    """Numbers of the unknown plies, the outermost first."""
+    return " ".join(format(v, form) for name, v in row["details"].items() if name.startswith(key))
+
+
+def _of_ten(row: Record) -> str:
+    return f"{row['details']['found']:.0f} of 10"
+
+
+def _probability_of(which: str, row: Record) -> str | None:
+    found = _detail(f"{which}_probability", row)
+    return None if found is None else f"{found:.1g}"
+
+
+_NOISY_ANGLES: Final = (
+    _of("specimen", "plate"),
+    _of("source", "noise", lambda source: source.removesuffix(" disorder")),
+    _of("printed_text", "printed means of ten"),
+    _shown("inversions there", _of_ten, number=True),
+    _shown("spread by ply, degrees", partial(_by_ply, "spread_", ".0f")),
+    _shown("probability of the true layup", partial(_probability_of, "true"), number=True),
+    _shown("of the printed one", partial(_probability_of, "printed"), number=True),
+    _shown("bits by ply", partial(_by_ply, "bits_", ".2f")),
+)
 _COMPUTED: Final = (
     _shown("what", lambda r: r[0]),
     _shown("version", lambda r: str(r[1]["version"])),
@@ -267,8 +279,8 @@ def report_of(document: Record, slips: tuple[str, ...], cautions: tuple[str, ...
     )
     simulation = Rows("simulation", _SIMULATION, tuple(document["simulation"]))
     costs, well_posed = Rows("costs", _COSTS, tuple(document["costs"])), _well_posed(document["hadamard"])
-    drawings = _drawings(document)
-    drawn = {drawing.name for drawing in drawings}
+    shown = drawings(document)
+    drawn = {drawing.name for drawing in shown}
     titles = {t["table"]: f"Table {t['table']}: {t['title']}" for t in document["tables"]}
     return Report(
         summary=Summary(
@@ -319,7 +331,7 @@ def report_of(document: Record, slips: tuple[str, ...], cautions: tuple[str, ...
             Section(COMPUTATION, (_computed(document).table("Computations"), costs.table("Forward solves"))),
         ),
         document=document,
-        drawings=drawings,
+        drawings=shown,
         rows=(row_table(document), misfits, well_posed, simulation, costs),
     )
 
@@ -363,95 +375,6 @@ def _when(document: Record) -> Iterator[str]:
 
 def _computed(document: Record) -> Rows:
     return Rows("computed", _COMPUTED, tuple(document["computed"].items()))
-
-
-_COLOURS: Final = {AGREES: "#4878a8", WITHIN: "#8a8a8a", UNTOLD: "#c9b458", NOT_REPRODUCIBLE: "#c1440e"}
-
-
-def _drawings(document: Record) -> tuple[Drawing, ...]:
-    """The figures that the computed tables give."""
-    compared = [row for row in document["rows"] if row["difference_percent"] is not None]
-    simulated = [row for row in compared if row["table"] == 5]
-    own = [m for m in document["audit"]["misfits"] if m["source"] in _OF_THE_PAPER]
-    drawn = (
-        (
-            compared,
-            "differences",
-            _draw_differences,
-            "Each point is a printed value: at zero the paper and the computation agree. Orange points "
-            "cannot be reproduced from the paper's own inputs.",
-            "Differences between printed and computed values in percent, by table of the paper.",
-        ),
-        (
-            simulated,
-            "frequencies",
-            _draw_frequencies,
-            "Each bar is a mode: how far a frequency of Table 5 lies from the converged one.",
-            "Differences of the frequencies of Table 5 from converged ones, by plate and mode.",
-        ),
-        (
-            own,
-            "misfits",
-            _draw_misfits,
-            "Where the orange bar is higher, other constants fit the plate's frequencies better than the "
-            "printed ones.",
-            "Misfit of the printed constants beside the least misfit found, by plate.",
-        ),
-    )
-    return tuple(
-        Drawing(name, partial(draw, rows), Caption(text, alt))
-        for rows, name, draw, text, alt in drawn
-        if rows
-    )
-
-
-def _draw_differences(rows: list[Record]) -> Figure:
-    numbers = sorted({row["table"] for row in rows})
-    figure = new_figure(7.0, 3.6)
-    axes = figure.subplots()
-    for kind, colour in _COLOURS.items():
-        of_kind = [row for row in rows if row["verdict_kind"] == kind]
-        # spread by their place in the table, so that rows do not hide each other
-        places = [numbers.index(r["table"]) + 0.35 * np.sin(7.0 * i) for i, r in enumerate(of_kind)]
-        values = [r["difference_percent"] for r in of_kind]
-        axes.plot(places, values, "o", ms=3, alpha=0.7, color=colour, label=kind)
-    axes.set_yscale("symlog", linthresh=1.0)
-    axes.axhline(0.0, color="0.4", linewidth=0.7)
-    axes.set_xticks(range(len(numbers)), [str(n) for n in numbers])
-    axes.set(xlabel="table of the paper", ylabel="printed over computed, less one, %")
-    axes.legend(fontsize="small", frameon=False)
-    return figure
-
-
-def _draw_frequencies(rows: list[Record]) -> Figure:
-    names = list(dict.fromkeys(row["specimen"] for row in rows))
-    figure = new_figure(7.0, 3.6)
-    axes = figure.subplots()
-    for i, name in enumerate(names):
-        off = [row["difference_percent"] for row in rows if row["specimen"] == name]
-        shown = [(k, v) for k, v in enumerate(off) if abs(v) < MISPRINTED]
-        places = [i + 0.8 * (k + 0.5) / len(off) - 0.4 for k, _ in shown]
-        axes.bar(places, [v for _, v in shown], 0.7 / len(off), color="#4878a8" if i % 2 else "#c1440e")
-    axes.axhline(0.0, color="0.4", linewidth=0.7)
-    axes.set_xticks(range(len(names)), names)
-    axes.set_xlabel("plate, its modes from the left; a misprinted frequency is left out")
-    axes.set_ylabel("Table 5 over converged, less one, %")
-    return figure
-
-
-def _draw_misfits(misfits: list[Record]) -> Figure:
-    figure = new_figure(7.0, 3.6)
-    axes = figure.subplots()
-    places = np.arange(len(misfits))
-    printed, ours = ([m[key] for m in misfits] for key in ("rms_percent", "our_rms_percent"))
-    axes.bar(places - 0.2, printed, 0.38, color="#c1440e", label="printed constants")
-    axes.bar(places + 0.2, ours, 0.38, color="#4878a8", label="least F found")
-    axes.set_yscale("log")
-    counts = {TWO: "\ntwo", FOUR: "\nfour"}
-    axes.set_xticks(places, [m["specimen"] + counts.get(m["case"], "") for m in misfits], fontsize="small")
-    axes.set_ylabel("rms misfit of the frequencies, %")
-    axes.legend(fontsize="small", frameon=False)
-    return figure
 
 
 def page(document: Record) -> str:
@@ -506,7 +429,7 @@ def _lines(document: Record) -> Iterator[str]:
         "found within the bounds of eq. (8).",
         "",
     )
-    own = tuple(m for m in audit["misfits"] if m["source"] in _OF_THE_PAPER)
+    own = tuple(m for m in audit["misfits"] if m["source"] in OF_THE_PAPER)
     yield from _markdown(Rows("misfits", _OWN_MISFITS, own))
     yield from _hadamard_lines(document["hadamard"])
     yield from (f"- Warning: {text}" for text in document["warnings"])
@@ -558,7 +481,11 @@ def _noise_lines(document: Record) -> Iterator[str]:
     texts = [text for key in ("means_of_ten", "angles") if (text := document["audit"].get(key))]
     if not texts:
         return
-    yield from ("## What means of ten can show", "", " ".join(texts), "")
+    yield from ("## What means of ten can show", "", *(f"{text}\n" for text in texts))
+    rows = tuple(row for row in document["rows"] if "spread_1_deg" in row["details"])
+    if rows:
+        yield from ("Plies from the outermost to the innermost:", "")
+        yield from _markdown(Rows("angles", _NOISY_ANGLES, rows))
 
 
 def _hadamard_lines(conditions: Sequence[Record]) -> Iterator[str]:

@@ -25,26 +25,26 @@ from numpy.typing import NDArray
 from cpam_bayes import __version__
 from cpam_bayes.answer import Constant
 from cpam_bayes.fingerprint import fingerprint
-from cpam_bayes.forward_model.build import reduced_model
-from cpam_bayes.identification.angle_search import AngleSearchProblem, run_swarm, search_parameters
-from cpam_bayes.identification.search import required, search
+from cpam_bayes.identification.search import search
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, EnsembleSettings
 from cpam_bayes.inference.swarm import SwarmSettings
-from cpam_bayes.plate import Material, Specimen, angle_grid, builtin, read_plate, to_si, to_user, user_name
+from cpam_bayes.plate import Specimen, builtin, read_plate, to_si, to_user, user_name
 from cpam_bayes.printed.noise_study import ENSEMBLE_SETTINGS
 from cpam_bayes.printed.tables import PrintedRow, identified_layups, printed_table
 from cpam_bayes.questions.diagnose import diagnose
 from cpam_bayes.questions.forward import forward
 from cpam_bayes.questions.identify.emcee import SampledResult, sample
 from cpam_bayes.questions.identify.pso import PointResult, identify
+from cpam_bayes.questions.paper.layups import bounds_alone, layup_case, searched, weighed
 from cpam_bayes.questions.paper.rows import FOUR, TWO, Results, SimulationError
 from cpam_bayes.questions.sensitivity import sensitivity
-from cpam_bayes.questions.sequence import StackingResult, sequence
+from cpam_bayes.questions.sequence import sequence
 from cpam_bayes.running import Watch
 from cpam_bayes.storage import read_sealed, set_aside, write_sealed
 
 __all__ = [
     "FULL",
+    "OF_FULL_EFFORT",
     "QUICK",
     "Effort",
     "Task",
@@ -75,20 +75,13 @@ _BOUNDS: Final = {
 }
 
 
-def _bounds_alone(name: str) -> Specimen:
-    """A built-in specimen as in the paper: references say nothing beforehand, and sizes are exact."""
-    specimen = builtin(name).with_exact_sizes()
-    assert isinstance(specimen.material, Material)
-    return replace(specimen, material=replace(specimen.material, known=False))
-
-
 def case_specimen(name: str, case: str) -> Specimen:
     """A built-in specimen with the paper's bounds alone, eq. (8), and four unknown constants where asked for.
 
     The fourth constraint of eq. (9), E1 > E2, holds for four constants, so that the reference E2 is a little
     below E1.
     """
-    specimen = _bounds_alone(name)
+    specimen = bounds_alone(name)
     if case != FOUR:
         return specimen
     plate, measurement = specimen.plate, specimen.measurement
@@ -231,12 +224,12 @@ def _sizes(document: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-Kind = Literal["forward", "constants", "noise", "angles"]
+Kind = Literal["forward", "constants", "noise", "angles", "layups"]
+OF_FULL_EFFORT: Final[tuple[Kind, ...]] = ("angles", "layups")
+"""Kinds that a small effort leaves out."""
 
 # F of two swarms that found the same optimum differs by no more than this fraction.
 _SAME_OPTIMUM: Final = 1e-3
-# A constant this close to a bound, as a fraction of its interval, sits on it.
-_ON_BOUND: Final = 1e-3
 # Half the width of a 95 % interval of a normal distribution, in standard deviations.
 _NORMAL_95: Final = 1.96
 
@@ -247,8 +240,8 @@ class Effort:
 
     swarms : single ones on each plate, each as the paper has it.
     groups : of perturbed lists at each level.
-    full : finite elements beside the Ritz method, posteriors by emcee and not the linearised one, and
-    searches of angles and constants together.
+    full : finite elements beside the Ritz method, posteriors by emcee and not the linearised one, searches of
+    angles and constants together, and posteriors over layups of lists with noise.
     """
 
     swarms: int
@@ -287,10 +280,10 @@ class Task:
 
 
 def work(effort: Effort, task: Task) -> Results:
-    """Do one task and return plain data, with the seconds it took."""
-    start = time.perf_counter()
+    """Do one task and return plain data, with the seconds of a processor that it took."""
+    start = time.process_time()
     computed = _DONE_BY[task.kind](effort, task)
-    return {**computed, "seconds": time.perf_counter() - start}
+    return {**computed, "seconds": time.process_time() - start}
 
 
 def _forward(effort: Effort, task: Task) -> Results:
@@ -424,64 +417,21 @@ def _noise(effort: Effort, task: Task) -> Results:
     }
 
 
-def _angles(effort: Effort, task: Task) -> Results:
-    """Angles and constants together by one fuzzy swarm on each perturbed list, as the paper did."""
-    specimen = builtin(task.specimen, sequence=True)
-    measurement, unknowns = required(specimen)
-    model = reduced_model(specimen, search_parameters(specimen), measurement.size)
-    grid = angle_grid(specimen.angle_grid_deg)
-    width = unknowns.upper - unknowns.lower
-
-    def ended(measured: Array, seeds: Sequence[Sequence[int]]) -> tuple[Array, Array]:
-        """Angles (n, k) and constants (n, m) of the swarms on lists (n, n_modes)."""
-        fits = (AngleSearchProblem(specimen, model, np.sort(one), grid) for one in measured)
-        swarms = [run_swarm(fit, seed, effort.swarm) for fit, seed in zip(fits, seeds, strict=True)]
-        return np.array([grid[s.sequence] for s in swarms]), np.array([s.best for s in swarms])
-
-    f = measurement.frequencies
-    _, (free,) = ended(f[None], [(task.seed, 0, 0)])
-    levels = []
-    for level in printed_levels(task.table):
-        rng = np.random.default_rng((task.seed, int(level)))
-        noise = 0.01 * level * float(np.sqrt(np.mean(f**2)))
-        lists = np.abs(f + noise * rng.standard_normal((effort.groups, len(f))))
-        angles, constants = ended(lists, [(task.seed, int(level), i + 1) for i in range(effort.groups)])
-        from_bound = np.minimum(constants - unknowns.lower, unknowns.upper - constants)
-        on_bound = np.mean(from_bound <= _ON_BOUND * width, axis=0)
-        mean, sd = constants.mean(axis=0), constants.std(axis=0, ddof=1)
-        levels.append(
-            {
-                "level_percent": level,
-                "angles_deg": angles.tolist(),
-                "constants": {
-                    user_name(name): {
-                        "repetition_mean": to_user(name, float(mean[i])),
-                        "repetition_sd": to_user(name, float(sd[i])),
-                        "on_bound": float(on_bound[i]),
-                    }
-                    for i, name in enumerate(unknowns.names)
-                },
-            }
-        )
-    return {
-        "groups": effort.groups,
-        "without_noise": {
-            user_name(n): to_user(n, float(v)) for n, v in zip(unknowns.names, free, strict=True)
-        },
-        "levels": levels,
-    }
+def _searched(effort: Effort, task: Task) -> Results:
+    return searched(task.specimen, task.table, task.seed, effort.groups, effort.swarm)
 
 
-def printed_levels(number: int) -> tuple[float, ...]:
-    """Levels of Tables 10 to 14, %."""
-    return tuple(float(row.source.split()[0]) for row in printed_table(number).rows[1:])
+def _weighed(effort: Effort, task: Task) -> Results:
+    del effort
+    return weighed(task.specimen, task.table, task.seed)
 
 
 _DONE_BY: Final[Mapping[Kind, Callable[[Effort, Task], Results]]] = {
     "forward": _forward,
     "constants": _constants,
     "noise": _noise,
-    "angles": _angles,
+    "angles": _searched,
+    "layups": _weighed,
 }
 
 
@@ -574,27 +524,9 @@ def sequence_cases(seed: int, executor: str, workers: int | None, watch: Watch) 
     """The posterior over stacking sequences of every specimen of Table 9(b)."""
     start = time.perf_counter()
     cases = {
-        name: _case(sequence(_bounds_alone(name), seed=seed, executor=executor, workers=workers, watch=watch))
+        name: layup_case(
+            sequence(bounds_alone(name), seed=seed, executor=executor, workers=workers, watch=watch)
+        )
         for name in identified_layups()
     }
     return stamp({"seconds": time.perf_counter() - start, "cases": cases})
-
-
-def _case(result: StackingResult) -> dict[str, Any]:
-    answer, given = result.answer, result.given
-    assert given is not None
-    return {
-        "enumerated": answer.enumerated,
-        "credible_95_count": answer.credible_count,
-        "unaccounted": answer.unaccounted,
-        "most_probable": {
-            "angles_deg": answer.top[0].tolist(),
-            "probability": float(answer.probability[0]),
-        },
-        "printed": {
-            "angles_deg": given.angles_deg.tolist(),
-            "probability": given.probability,
-            "rank": given.rank,
-            "log_evidence_below_best": float(answer.log_evidence[0] - given.log_evidence),
-        },
-    }

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cpam_bayes.printed.tables import identified_layups, printed_table
-from cpam_bayes.questions.paper.noise import MeansOfTen, NoisyAngles, noise_rows
+from cpam_bayes.questions.paper.noise import MeansOfTen, NoisyAngles, noise_rows, noisy_angles
 from cpam_bayes.questions.paper.rows import (
     AGREES,
     BUILT_IN,
@@ -230,3 +230,41 @@ def test_the_search_of_angles_with_the_constants_is_the_repetition_that_is_compa
     assert of(alone, "E1_GPa", "1 % disorder").verdict == AGREES
     left_out = of(alone, "angles_deg", "1 % disorder")
     assert (left_out.ours, left_out.verdict) == (None, NOT_COMPUTED)
+
+
+@pytest.mark.parametrize(("bits", "less"), [([1.5, 0.9, 0.4, 0.1], 3), ([0.1, 0.9, 0.4, 1.5], 0)])
+def test_what_one_list_tells_of_the_angles_stands_beside_the_inversions(bits: list[float], less: int) -> None:
+    names = ("E1_GPa", "E2_GPa", "nu12", "G12_GPa")
+    known = noise_results(127.6, 1.0)
+    cell = known["levels"][0]["constants"]["E1_GPa"]
+    for level in known["levels"]:
+        level["constants"] = dict.fromkeys(names, cell)
+    known["without_noise"] = dict.fromkeys(names, 126.0)
+    ends = [[5, 90, 0, 90]] * 9 + [[5, 90, 0, 85]]
+    together = {**known, "levels": [{**level, "angles_deg": ends} for level in known["levels"]]}
+    weighed = {
+        "bits": bits,
+        "most_bits": 5.17,
+        "true_probability": 0.2,
+        "printed_probability": 0.01,
+        "credible_95_count": 30,
+        "constants": {key: {"mean": 127.0, "sd": 1.0, "q025": 125.0, "q975": 129.0} for key in names},
+    }
+    computed = {
+        ("noise", "C1", BUILT_IN): known,
+        ("angles", "C1", BUILT_IN): together,
+        ("layups", "C1", BUILT_IN): {"levels": [weighed] * 3},
+    }
+    rows = list(noise_rows(printed_table(11), computed, packaged("sequences")))
+    angles = of(rows, "angles_deg", "1 % disorder").details
+    assert [angles[f"bits_{i}"] for i in (1, 2, 3, 4)] == bits
+    assert (angles["true_probability"], angles["printed_probability"]) == (0.2, 0.01)
+    constant = of(rows, "E1_GPa", "1 % disorder").details
+    assert (constant["layups_mean"], constant["layups_q975"]) == (127.0, 129.0)
+    said = noisy_angles(rows)
+    assert f"less of the innermost in {less})" in said
+    # of 127.6, 129.5 and 132.65 GPa one lies within, of the other constants none
+    assert "1 of 12 printed constants" in said
+    # the innermost scatters, the others do not
+    assert ("holds by the bits and by" in said) == (less == 3)
+    assert "bits" not in noisy_angles([row for row in rows if "bits_1" not in row.details])

@@ -1,0 +1,168 @@
+"""Stacking sequences of the measured lists and of lists with noise: by the paper's swarm, and weighed.
+
+Noise is that of eq. (12) on the root mean square frequency, one standard deviation for all modes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.forward_model.build import reduced_model
+from cpam_bayes.identification.angle_search import AngleSearchProblem, run_swarm, search_parameters
+from cpam_bayes.identification.search import required
+from cpam_bayes.inference.swarm import SwarmSettings
+from cpam_bayes.plate import Material, Specimen, angle_grid, builtin, to_user, user_name
+from cpam_bayes.printed.repetition import perturbation_sd
+from cpam_bayes.printed.tables import PrintedRow, printed_table
+from cpam_bayes.questions.paper.rows import Results
+from cpam_bayes.questions.sequence import StackingResult, sequence
+from cpam_bayes.stacking.queries import given_layup
+from cpam_bayes.stacking.records import StackingPosterior
+from cpam_bayes.stacking.symmetry import members
+
+__all__ = ["bounds_alone", "layup_case", "searched", "weighed"]
+
+Array = NDArray[Any]
+
+# A constant this close to a bound, as a fraction of its interval, sits on it.
+_ON_BOUND: Final = 1e-3
+
+
+def bounds_alone(name: str) -> Specimen:
+    """A built-in specimen as in the paper: references say nothing beforehand, and sizes are exact."""
+    specimen = builtin(name).with_exact_sizes()
+    assert isinstance(specimen.material, Material)
+    return replace(specimen, material=replace(specimen.material, known=False))
+
+
+def layup_case(result: StackingResult) -> dict[str, Any]:
+    """The part that is kept of the posterior over the stacking sequences of a measured list."""
+    answer, given = result.answer, result.given
+    assert given is not None
+    return {
+        "enumerated": answer.enumerated,
+        "credible_95_count": answer.credible_count,
+        "unaccounted": answer.unaccounted,
+        "most_probable": {
+            "angles_deg": answer.top[0].tolist(),
+            "probability": float(answer.probability[0]),
+        },
+        "printed": {
+            "angles_deg": given.angles_deg.tolist(),
+            "probability": given.probability,
+            "rank": given.rank,
+            "log_evidence_below_best": float(answer.log_evidence[0] - given.log_evidence),
+        },
+    }
+
+
+def _levels(table: int) -> Iterator[tuple[float, PrintedRow]]:
+    """Levels of noise, %, of Tables 10 to 14, with the printed row of each."""
+    for row in printed_table(table).rows[1:]:
+        yield float(row.source.split()[0]), row
+
+
+def _perturbed(measured: Array, level: float, seed: int, groups: int) -> tuple[Array, Array]:
+    """Lists with noise, (groups, n) Hz in ascending order, and its standard deviations, (n,) Hz.
+
+    The first lists do not depend on how many there are.
+    """
+    sd = perturbation_sd(measured, 0.01 * level, "rms")
+    noise = sd * np.random.default_rng((seed, int(level))).standard_normal((groups, len(measured)))
+    return np.sort(np.abs(measured + noise), axis=1), sd
+
+
+def searched(name: str, table: int, seed: int, groups: int, swarm: SwarmSettings) -> Results:
+    """Angles and constants together by one fuzzy swarm on each perturbed list, as the paper did."""
+    specimen = builtin(name, sequence=True)
+    measurement, unknowns = required(specimen)
+    model = reduced_model(specimen, search_parameters(specimen), measurement.size)
+    grid = angle_grid(specimen.angle_grid_deg)
+    width = unknowns.upper - unknowns.lower
+
+    def ended(measured: Array, seeds: Sequence[Sequence[int]]) -> tuple[Array, Array]:
+        """Angles (n, k) and constants (n, m) of the swarms on lists (n, n_modes)."""
+        fits = (AngleSearchProblem(specimen, model, one, grid) for one in measured)
+        swarms = [run_swarm(fit, seed, swarm) for fit, seed in zip(fits, seeds, strict=True)]
+        return np.array([grid[s.sequence] for s in swarms]), np.array([s.best for s in swarms])
+
+    f = measurement.frequencies
+    _, (free,) = ended(f[None], [(seed, 0, 0)])
+    levels = []
+    for level, _ in _levels(table):
+        lists, _ = _perturbed(f, level, seed, groups)
+        angles, constants = ended(lists, [(seed, int(level), i + 1) for i in range(groups)])
+        from_bound = np.minimum(constants - unknowns.lower, unknowns.upper - constants)
+        on_bound = np.mean(from_bound <= _ON_BOUND * width, axis=0)
+        mean, sd = constants.mean(axis=0), constants.std(axis=0, ddof=1)
+        levels.append(
+            {
+                "level_percent": level,
+                "angles_deg": angles.tolist(),
+                "constants": {
+                    user_name(constant): {
+                        "repetition_mean": to_user(constant, float(mean[i])),
+                        "repetition_sd": to_user(constant, float(sd[i])),
+                        "on_bound": float(on_bound[i]),
+                    }
+                    for i, constant in enumerate(unknowns.names)
+                },
+            }
+        )
+    return {
+        "groups": groups,
+        "without_noise": {
+            user_name(n): to_user(n, float(v)) for n, v in zip(unknowns.names, free, strict=True)
+        },
+        "levels": levels,
+    }
+
+
+def weighed(name: str, table: int, seed: int) -> Results:
+    """The posterior over all stacking sequences of one perturbed list a level, its noise stated."""
+    specimen = bounds_alone(name)
+    measurement, _ = required(specimen)
+    unlabelled = replace(measurement, relative_std=None, labels=("",) * measurement.size, shapes=None)
+    place = specimen.with_unknown_angles().plate.layup.unknown_index
+    true = [float(specimen.plate.layup.angles_deg[place == k][0]) for k in range(int(place.max()) + 1)]
+    levels = []
+    for level, row in _levels(table):
+        (noisy,), sd = _perturbed(measurement.frequencies, level, seed, 1)
+        noisy_list = replace(unlabelled, frequencies=noisy, frequency_sd=sd)
+        # of another name, so that the sequence of Table 9(b) is not asked for
+        one = replace(specimen, name=f"{name}, {row.source}", measurement=noisy_list)
+        result = sequence(one, seed=seed)
+        answer, information = result.answer, result.information
+        levels.append(
+            {
+                "level_percent": level,
+                "enumerated": answer.enumerated,
+                "credible_95_count": answer.credible_count,
+                "unaccounted": answer.unaccounted,
+                "p_value": result.fit.p_value,
+                "most_bits": information.most_bits,
+                "bits": (information.most_bits - information.entropy_bits).tolist(),
+                "true_probability": _together(answer, true),
+                "printed_probability": _together(answer, row.values["angles_deg"].angles_deg),
+                "most_probable": {
+                    "angles_deg": answer.top[0].tolist(),
+                    "probability": float(answer.probability[0] * answer.multiplicity[0]),
+                },
+                "constants": result.to_dict()["constants"],
+            }
+        )
+    return {"levels": levels}
+
+
+def _together(answer: StackingPosterior, angles_deg: Sequence[float]) -> float:
+    """Probability of a sequence and of all that no frequency tells from it."""
+    given = given_layup(answer, np.array(angles_deg, dtype=float))
+    if given.index is not None:
+        return given.probability * int(answer.multiplicity[given.index])
+    sequence_of_grid = np.searchsorted(answer.grid_deg, given.angles_deg)
+    return given.probability * len(members(sequence_of_grid, answer.symmetries))
