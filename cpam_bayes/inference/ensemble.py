@@ -62,7 +62,7 @@ class StoreError(ValueError):
 class Rounds:
     """Finished rounds of one problem in a directory; a round of another problem is refused.
 
-    Raises ``StoreError`` where the directory cannot be made.
+    Raises ``StoreError`` where the directory cannot be made, or holds rounds of an earlier version.
     """
 
     def __init__(self, directory: Path, key: str) -> None:
@@ -71,6 +71,7 @@ class Rounds:
             directory.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise StoreError(f"store {directory}: cannot be made: {error.strerror}") from error
+        self._refuse_earlier_rounds()
 
     def path(self, i: int) -> Path:
         """Where a round is or will be."""
@@ -132,6 +133,14 @@ class Rounds:
                 "and the same command goes on from there, those from it on are in this answer alone"
             )
         return None
+
+    def _refuse_earlier_rounds(self) -> None:
+        earlier = sorted(self.directory.glob("round_*.h5"))
+        if earlier:
+            raise StoreError(
+                f"store {self.directory}: holds rounds of an earlier version ({earlier[0].name} and on), "
+                "which this one cannot go on from and leaves alone; choose another directory"
+            )
 
 
 class Density(Protocol):

@@ -355,10 +355,13 @@ def test_a_round_in_the_place_of_another_is_not_taken_for_it(store: Path) -> Non
     np.testing.assert_array_equal(run(store).chain, whole().chain)
 
 
-def test_a_file_in_the_place_of_a_store_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "store").write_bytes(b"hours of work")
+def test_rounds_of_an_earlier_version_are_refused_and_left_alone_and_so_is_a_file(tmp_path: Path) -> None:
+    (tmp_path / "round_0000.h5").write_bytes(b"hours of work")
+    with pytest.raises(StoreError, match=r"rounds of an earlier version \(round_0000\.h5 and on\)"):
+        run(tmp_path)
+    assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("round_0000.h5", b"hours of work")]
     with pytest.raises(StoreError, match="cannot be made"):
-        run(tmp_path / "store")
+        run(tmp_path / "round_0000.h5")
 
 
 FULL_DISK = """
