@@ -23,6 +23,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
 from io import BufferedRandom
+from multiprocessing import parent_process
 from pathlib import Path
 from typing import Any, Final
 
@@ -36,6 +37,7 @@ __all__ = [
     "cache_directory",
     "draft_directory",
     "draft_file",
+    "name_unused_models",
     "put_in_place",
     "read_arrays",
     "read_sealed",
@@ -264,6 +266,10 @@ def read_arrays(path: Path) -> dict[str, Array] | None:
 
 
 DIRECTORY_VARIABLE: Final = "CPAM_BAYES_CACHE"
+# Files of models that earlier versions kept there, of all that the directory holds.
+_MODEL: Final = re.compile(
+    rf"[0-9a-f]{{32}}(-local[0-9]+)?({re.escape(ARRAYS)}|\.npz)({re.escape(DAMAGED)})?"
+)
 
 
 def opened_draws(file: str | os.PathLike[str]) -> Any:
@@ -285,3 +291,16 @@ def cache_directory() -> Path:
     from platformdirs import user_cache_path
 
     return user_cache_path("cpam_bayes", appauthor=False)
+
+
+@cache
+def name_unused_models() -> None:
+    """Say once where models of earlier versions are and what they take, in a process that has no parent."""
+    directory, size = cache_directory(), 0
+    with suppress(OSError), os.scandir(directory) as entries:
+        size = sum(e.stat(follow_symlinks=False).st_size for e in entries if _MODEL.fullmatch(e.name))
+    if size and parent_process() is None:
+        mib = size / 2**20
+        _LOG.warning(
+            "%s holds %.1f MiB of plate models that are not used any more: remove them", directory, mib
+        )

@@ -17,6 +17,7 @@ from cpam_bayes.storage import (
     cache_directory,
     draft_directory,
     draft_file,
+    name_unused_models,
     put_in_place,
     read_arrays,
     read_sealed,
@@ -194,3 +195,21 @@ def test_the_cache_lies_where_the_system_keeps_caches(
     assert cache_directory().name == "cpam_bayes"
     monkeypatch.setenv("CPAM_BAYES_CACHE", str(tmp_path / "own"))
     assert cache_directory() == tmp_path / "own"
+
+
+def test_models_of_earlier_versions_are_named_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("CPAM_BAYES_CACHE", str(tmp_path))
+    (tmp_path / "notes.arrays").write_bytes(b"of somebody else")
+    name_unused_models.cache_clear()
+    name_unused_models()
+    assert not caplog.messages
+    for name in (f"{'0' * 32}.arrays", f"{'1' * 32}-local4.arrays"):
+        (tmp_path / name).write_bytes(bytes(2**20))
+    name_unused_models.cache_clear()
+    for _ in range(2):
+        name_unused_models()
+    (message,) = caplog.messages
+    assert message.startswith(f"{tmp_path} holds 2.0 MiB of plate models")
+    name_unused_models.cache_clear()

@@ -25,6 +25,7 @@ from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement, Specimen
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, ShearModel
 from cpam_bayes.running import single_blas_thread
+from cpam_bayes.storage import name_unused_models
 
 Array = NDArray[Any]
 T = TypeVar("T")
@@ -93,6 +94,7 @@ def remembered(key: str, make: Callable[[], T]) -> T:
             _made.move_to_end(key)
             kept: T = _made[key]
             return kept
+    name_unused_models()
     model = make()
     with _lock:
         _made[key] = model
