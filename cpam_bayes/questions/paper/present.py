@@ -221,7 +221,7 @@ def _probability_of(which: str, row: Record) -> str | None:
 
 _NOISY_ANGLES: Final = (
     _of("specimen", "plate"),
-    _of("source", "noise", lambda source: source.removesuffix(" disorder")),
+    _of("source", "noise"),
     _of("printed_text", "printed means of ten"),
     _shown("inversions there", _of_ten, number=True),
     _shown("spread by ply, degrees", partial(_by_ply, "spread_", ".0f")),
