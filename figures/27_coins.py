@@ -1,10 +1,11 @@
-"""Masses of coins as sealed and as the coin test finds them, on plates of independent elements.
+"""Masses of coins as sealed and as the coin test finds them, on plates of independent elements and of bricks.
 
 python figures/27_coins.py [--help]
 """
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -15,17 +16,18 @@ CLAIMED = "mass added"
 
 
 def pictures(data: dict[str, Any]) -> list[Picture]:
-    lists = [c for one in data["cases"] for c in one["lists"]]
+    lists = [c | {"solver": one["solver"]} for one in data["cases"] for c in one["lists"]]
     coins, repeats = ([c for c in lists if bool(c["sealed_g"]) is there] for there in (True, False))
     inside = sum(c["low_g"] <= c["sealed_g"] <= c["high_g"] for c in coins)
     return [
         Picture(
             "27_coins",
             _masses(coins),
-            "Coins on plates of independent elements, found over sealed.",
-            f"95 % intervals of the mass, blue where one is claimed; {inside} of {len(coins)} hold the "
-            "sealed mass. To the left of 1 a coin is lighter than what the plate's list can show. Of "
-            f"{len(repeats)} repeats without a coin {sum(c['finding'] == CLAIMED for c in repeats)} were "
+            "Coins on plates of independent elements and of bricks, found over sealed.",
+            f"95 % intervals of the mass, blue where one is claimed, squares on bricks; {inside} of "
+            f"{len(coins)} hold the sealed mass. To the left of 1 a coin is lighter than what the plate's "
+            f"list can show. Of {len(repeats)} repeats without a coin "
+            f"{sum(c['finding'] == CLAIMED for c in repeats)} were "
             "said to have one.",
         )
     ]
@@ -34,13 +36,16 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
 def _masses(coins: list[dict[str, Any]]) -> Figure:
     new = figure(SINGLE_MM, 70)
     axes = new.subplots()
-    for claimed, colour, label in ((False, LIGHT, "not claimed"), (True, BLUE, "claimed")):
+    for claimed, solver in product((False, True), ("elements", "bricks")):
         those = [c for c in coins if (c["finding"] == CLAIMED) is claimed and c["limit_g"]]
+        those = [c for c in those if c["solver"] == solver]
+        colour, label = (BLUE, "claimed") if claimed else (LIGHT, "not claimed")
+        form, label = ("o", label) if solver == "elements" else ("s", None)
         sealed, found, low, high, limit = (
             np.array([c[f"{key}_g"] for c in those]) for key in ("sealed", "found", "low", "high", "limit")
         )
         away = np.abs(np.stack((low, high)) - found) / sealed
-        axes.errorbar(sealed / limit, found / sealed, away, fmt="o", ms=3, lw=0.7, color=colour, label=label)
+        axes.errorbar(sealed / limit, found / sealed, away, fmt=form, ms=3, lw=0.7, color=colour, label=label)
     axes.axhline(1.0, color="0.3", lw=0.7)
     axes.axvline(1.0, color="0.3", lw=0.7, ls=":")
     axes.set(xscale="log", yscale="log", ylim=(0.05, 20.0))

@@ -1,22 +1,25 @@
-"""Is the coin test right? Coins on plates of independent elements, and repeats without one.
+"""Is the coin test right? Coins on plates of independent elements and of bricks, and repeats without one.
 
 python studies/27_coins.py [--quick] [--minutes M] [--development]
 
 Forty plates of elements that are independent of the package, each with one to five further lists with a coin
 and one without. Frequencies carry noise of 0.05 to 0.5 %, which half of the files state; thickness, mass and
 constants are not quite as stated. A coin is a disc of 0.5 to 8 % of the plate, 2 mm of steel thick: its mass
-is spread over a footprint and has a rotary inertia.
+is spread over a footprint and has a rotary inertia. Ten more plates, with one to three coins, are
+three-dimensional bricks that CalculiX computes; without its program `ccx` they are left out.
 
 `--development` draws other plates, prints each and saves nothing.
 """
 
 from __future__ import annotations
 
+import shutil
 import sys
 import tempfile
 import time
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +29,10 @@ from numpy.typing import NDArray
 import cpam_bayes as cb
 from cpam_bayes.identification.added_mass import Finding
 from cpam_bayes.plate import read_plate
+from cpam_bayes.plate.laminate import complete_constants
 from cpam_bayes.render.report import Heading, Table
 from cpam_bayes.render.terminal import screen_text
+from validation import bricks
 from validation.independent.true_plate import Mass, TruePlate, natural_frequencies
 from validation.laboratory import REFERENCES, material_tables
 from validation.reporting import Results, case_by_case, cases_main, markdown_table, paragraph
@@ -37,11 +42,15 @@ RESULTS = Path(__file__).parent / "results" / f"{Path(__file__).stem}.json"
 
 KEYS = {
     "quick": "whether this is the small version",
-    "counts": "of coins above the detection limit, coins below it and repeats: how many, and what was said",
-    "cases": "one a plate: edges, noise, seconds; its lists: g sealed and found, interval, mm off, finding",
+    "counts": "by solver, of coins above the detection limit, below it and repeats: how many, what was said",
+    "cases": "one a plate: solver, edges, noise, seconds; its lists: g sealed, found, interval, mm off",
 }
 
 PLATES, MOST_COINS = 40, 5
+# The numbers of plates of bricks begin here.
+BRICKS, BRICK_PLATES, MOST_ON_BRICKS = 100, 10, 3
+# Elements in the plane; lines through the points of all coins are added to the mesh of every list.
+IN_PLANE, NOTHING = 160, 1e-12
 # Seeds of the plates that are reported and of those that were looked at before.
 REPORTED, DEVELOPMENT = 31, 2700
 NOISES = (5e-4, 5e-3)
@@ -55,12 +64,13 @@ AREAL = 16.0
 POINTS = ((-0.75, 2.0 / 9.0), (0.0, 5.0 / 9.0), (0.75, 2.0 / 9.0))
 NEAR_MM = 10.0
 GROUPS = ("above the limit", "below the limit", "repeats")
+SOLVERS = ("elements", "bricks")
 
 LAYUPS = ("[0/90/0/90]_s", "[0/45/-45/90]_s", "[0_8]", "[90/0/0/0]_s")
 EDGES = ("FFFF", "FFFF", "FFFF", "CFFF", "CFCF", "SSSS")
 
 
-def stated_plate(rng: np.random.Generator) -> dict[str, Any]:
+def stated_plate(rng: np.random.Generator, edges: tuple[str, ...] = EDGES) -> dict[str, Any]:
     """A plate file without a list."""
     reference, density = REFERENCES[str(rng.choice(["carbon", "glass"]))]
     length = rng.uniform(180.0, 360.0)
@@ -71,7 +81,7 @@ def stated_plate(rng: np.random.Generator) -> dict[str, Any]:
             **dict(zip(("length_mm", "width_mm", "thickness_mm"), sizes, strict=True)),
             "mass_g": round(1e-6 * density * float(np.prod(sizes)), 2),
             "layup": str(rng.choice(LAYUPS)),
-            "edges": str(rng.choice(EDGES)),
+            "edges": str(rng.choice(edges)),
         },
         **material_tables(reference),
     }
@@ -104,12 +114,37 @@ def coin(mass: float, x: float, y: float, sides: Array) -> tuple[Mass, ...]:
     )
 
 
+def of_elements(true: TruePlate, coins: list[tuple[Mass, ...]], n_modes: int) -> list[Array]:
+    """The list without a coin, and one for each, Hz."""
+    return [natural_frequencies(replace(true, masses=on), n_modes) for on in ((), *coins)]
+
+
+def of_bricks(true: TruePlate, coins: list[tuple[Mass, ...]], n_modes: int) -> list[Array]:
+    """The same of three-dimensional bricks; on one mesh, so that its error is that of all lists."""
+    plate = {f"{key}_mm": 1e3 * getattr(true, key) for key in ("length", "width", "thickness")}
+    layup = f"[{'/'.join(f'{a:g}' for a in true.angles_deg)}]"
+    plate |= {"density_kg_m3": true.density, "layup": layup, "edges": true.edges}
+    material = material_tables(true.constants)["material"]
+    specimen = read_plate({"name": "bricks", "plate": plate, "material": material})
+    whole = complete_constants(dict(true.constants), "transversely_isotropic")
+    constants = {name: float(value) for name, value in whole.items()}
+    every = [replace(mass, mass=NOTHING) for on in coins for mass in on]
+    found = []
+    for on in ((), *coins):
+        held = {(m.x, m.y): m.mass for m in (*every, *on)}
+        flaws = bricks.Flaws(masses=tuple(bricks.Mass(m, x, y) for (x, y), m in held.items()))
+        found.append(bricks.flawed_frequencies(specimen, constants, n_modes, flaws, in_plane=IN_PLANE))
+    return found
+
+
 def case(number: int, seed: int = REPORTED) -> Results:
     """One plate, its lists, and what `prove` says of them."""
     start, rng = time.perf_counter(), np.random.default_rng([seed, number])
-    stated = stated_plate(rng)
+    on_bricks = number >= BRICKS
+    stated = stated_plate(rng, tuple(e for e in EDGES if "S" not in e) if on_bricks else EDGES)
     true = true_plate(stated, rng)
-    n_modes, n_coins = int(rng.integers(8, 15)), int(rng.integers(1, MOST_COINS + 1))
+    n_modes = int(rng.integers(8, 15))
+    n_coins = int(rng.integers(1, (MOST_ON_BRICKS if on_bricks else MOST_COINS) + 1))
     noise = float(np.exp(rng.uniform(*np.log(NOISES))))
     sides = np.array([true.length, true.width])
     # off clamps, where a coin moves nothing, and apart
@@ -117,7 +152,7 @@ def case(number: int, seed: int = REPORTED) -> Results:
     places = (cells + rng.uniform(0.2, 0.8, (n_coins, 2))) / n_coins * sides
     masses = true.total_mass * np.exp(rng.uniform(*np.log(MASSES), n_coins))
     coins = [coin(m, x, y, sides) for m, (x, y) in zip(masses, places, strict=True)]
-    lists = [natural_frequencies(replace(true, masses=on), n_modes) for on in ((), *coins)]
+    lists = (of_bricks if on_bricks else of_elements)(true, coins, n_modes)
     lists.append(lists[0])
     measured = [_rounded(f * (1.0 + noise * rng.standard_normal(n_modes))) for f in lists]
     measurement: dict[str, Any] = {"frequencies_hz": measured[0]}
@@ -152,6 +187,7 @@ def case(number: int, seed: int = REPORTED) -> Results:
         )
     return {
         "case": number,
+        "solver": SOLVERS[on_bricks],
         "edges": true.edges,
         "noise": noise,
         "known": known,
@@ -174,17 +210,21 @@ def group(coin: Results) -> str:
 
 def results_of(cases: list[Results], quick: bool) -> Results:
     counts = []
-    for name in GROUPS:
-        those = [c for one in cases for c in one["lists"] if group(c) == name]
-        added = [c for c in those if c["finding"] == Finding.ADDED.value]
+    for solver, name in product(SOLVERS, GROUPS):
+        those = [c for one in cases if one["solver"] == solver for c in one["lists"] if group(c) == name]
+        added = [c for c in those if c["finding"] == Finding.ADDED.value and c["sealed_g"]]
+        small = [c for c in added if c["radius_mm"] <= NEAR_MM]
         counts.append(
             {
+                "solver": solver,
                 "group": name,
                 "lists": len(those),
                 **{f.value: sum(c["finding"] == f.value for c in those) for f in Finding},
                 "mass_inside": sum(c["low_g"] <= c["sealed_g"] <= c["high_g"] for c in those),
-                "near": sum(c["distance_mm"] <= NEAR_MM for c in added if c["sealed_g"]),
-                "place_inside": sum(c["distance_mm"] <= c["radius_mm"] for c in added if c["sealed_g"]),
+                "near": sum(c["distance_mm"] <= NEAR_MM for c in added),
+                "small": len(small),
+                "near_of_small": sum(c["distance_mm"] <= NEAR_MM for c in small),
+                "place_inside": sum(c["distance_mm"] <= c["radius_mm"] for c in added),
                 "shifts_inside": sum(c["shifts_inside"] for c in those),
                 "shifts": sum(c["modes"] for c in those),
             }
@@ -196,7 +236,13 @@ def run(quick: bool, minutes: float = float("inf")) -> Results:
     """The plates that are not saved yet; the small version has one."""
     if quick:
         return results_of([case(0, DEVELOPMENT)], quick)
-    return case_by_case(range(PLATES), case, lambda c: results_of(c, False), minutes=minutes, path=RESULTS)
+    return case_by_case(numbers(), case, lambda c: results_of(c, False), minutes=minutes, path=RESULTS)
+
+
+def numbers() -> list[int]:
+    """Of the plates, those of bricks last."""
+    on_bricks = range(BRICKS, BRICKS + BRICK_PLATES) if shutil.which("ccx") else ()
+    return [*range(PLATES), *on_bricks]
 
 
 HEAD = (
@@ -209,6 +255,7 @@ HEAD = (
     "mass inside",
     "place inside",
     "within 10 mm",
+    "of regions up to 10 mm",
 )
 SAID = (Finding.ADDED, Finding.OPEN, Finding.NOTHING, Finding.OTHER)
 
@@ -216,26 +263,34 @@ SAID = (Finding.ADDED, Finding.OPEN, Finding.NOTHING, Finding.OTHER)
 def _rows(results: Results) -> list[tuple[str, ...]]:
     rows = []
     for c in results["counts"]:
-        inside = ("", "", "")
+        if not c["lists"]:
+            continue
+        inside = ("", "", "", "")
         if c["group"] != GROUPS[2]:
             claimed = c[Finding.ADDED.value]
             inside = (
                 f"{c['mass_inside']} of {c['lists']}",
                 f"{c['place_inside']} of {claimed}",
                 f"{c['near']} of {claimed}",
+                f"{c['near_of_small']} of {c['small']}",
             )
-        rows.append((c["group"], str(c["lists"]), *(str(c[f.value]) for f in SAID), *inside))
+        rows.append(
+            (f"{c['solver']}, {c['group']}", str(c["lists"]), *(str(c[f.value]) for f in SAID), *inside)
+        )
     return rows
 
 
 def sections(results: Results) -> dict[str, str]:
     """The counts as a table of a page."""
     inside, shifts = (sum(c[key] for c in results["counts"]) for key in ("shifts_inside", "shifts"))
+    plates = {solver: sum(c["solver"] == solver for c in results["cases"]) for solver in SOLVERS}
     said = (
-        f"{len(results['cases'])} plates of independent finite elements, noise of 0.05 to 0.5 %, thickness, "
+        f"{plates['elements']} plates of independent finite elements and {plates['bricks']} of "
+        "three-dimensional bricks, noise of 0.05 to 0.5 %, thickness, "
         "mass and constants not quite as stated, coins of 0.5 to 8 % of the plate: "
         f"{inside / max(shifts, 1):.3f} of {shifts} shifts lay in the 95 % intervals that the first list "
-        "predicts. Places are counted up to mirror images."
+        "predicts. Places are counted up to mirror images: inside the region that the answer gives, within "
+        f"{NEAR_MM:g} mm, and of those whose region is that small."
     )
     return {"counts": f"{paragraph(said)}\n\n{markdown_table(HEAD, _rows(results))}"}
 
@@ -248,7 +303,7 @@ def show(results: Results) -> None:
 def main() -> None:
     others = partial(
         case_by_case,
-        range(PLATES),
+        numbers(),
         partial(case, seed=DEVELOPMENT),
         partial(results_of, quick=True),
     )

@@ -52,8 +52,11 @@ CLAIMED: Final = 0.95
 _FORM: Final = 0.02
 LARGEST: Final = 0.15
 """The largest mass that is looked for, of the plate's."""
-# Masses, of the plate's: log-uniform prior between them, where shifts are computed.
-_LEAST, _NODES = 5e-4, 9
+# Masses, of the plate's: log-uniform prior from the least to the largest, and where shifts are computed.
+# Between these a shift is linear in ln(1 + 4 m): exact for a squared mode shape of 4, as at a free end.
+_LEAST: Final = 5e-4
+_NODES: Final = (0.005, 0.012, 0.03, 0.06, 0.1, LARGEST)
+_CURVED: Final = 4.0
 # Part of the largest mass from which one is at the end, and probability there from which it may be heavier.
 _END, _BEYOND = 0.9, 0.05
 # Without a mass: probability that all frequencies changed by one factor, by temperature or the analyser, and
@@ -61,8 +64,10 @@ _END, _BEYOND = 0.9, 0.05
 _FACTOR_CHANGED, _FACTOR_SD = 0.1, 0.01
 # Probability of it from which it is said.
 _FACTOR_SAID: Final = 0.75
-# Mass over area of what is stuck to a plate, kg/m2, of equal probability: steel of 1.5 to 6 mm.
-_AREAL: Final = (12.0, 24.0, 48.0)
+# Area over mass of what is stuck to a plate, m2/kg: mean and standard deviation from steel of 1.5 to 6 mm. A
+# shift is linear in it, as the square of the radius is.
+_PER_MASS, _PER_MASS_SD = 0.5 * (1 / 12 + 1 / 48), (1 / 12 - 1 / 48) / 12**0.5
+_AREAL: Final = (1.0 / (_PER_MASS + _PER_MASS_SD), 1.0 / (_PER_MASS - _PER_MASS_SD))
 _STEEL: Final = 7850.0
 # Mean over a disc, exact to the fifth power: places over its radius, and weights.
 _RING: Final = np.sqrt(2.0 / 3.0) * np.exp(1j * np.pi / 3.0 * np.arange(6))
@@ -81,8 +86,8 @@ _FINE, _LOST = 160, 1e-7
 _LEVELS_OF_NOISE: Final = 24
 _DRAWS: Final = 4000
 _TAIL: Final = 0.025
-# Masses of a detection limit, and simulated lists at each.
-_STEPS, _LISTS = 9, 400
+# Masses tried for a detection limit, those between which a list is weighed, and simulated lists at each.
+_STEPS, _WEIGHED, _LISTS = 8, 20, 400
 # Share of a plate that a detection limit leaves out.
 _HIDDEN: Final = 0.2
 # Lists that no mass explains.
@@ -127,7 +132,7 @@ class LoadedPlate:
     listed : (n,) those of the list
     fields : points (p, 2) of 0 to 1, radius in m -> (5, p, N) of all N modes, mean over a disc
     every : (N,) eigenvalues of all modes
-    scatter : points -> (p, n) variance of phi^2 over the constants that the first list leaves open
+    scatter : points -> (p, n) mean square change of phi^2 over the constants that the first list leaves open
     sides : m; mass : kg, with its relative standard deviation
     """
 
@@ -141,25 +146,24 @@ class LoadedPlate:
     mass_sd: float
 
     def masses(self) -> Array:
-        """Masses at which shifts are computed, 0 first, kg, (_NODES + 1,)."""
-        return self.mass * np.concatenate(([0.0], np.geomspace(_LEAST, LARGEST, _NODES)))
+        """Masses at which shifts are computed, 0 first, kg, (k,)."""
+        return self.mass * np.array([0.0, *_NODES])
 
-    def shifts(self, points: Array, masses: Array, areal: float) -> Array:
-        """ln f' - ln f of the list with masses (k,), kg, at points (p, 2), (p, k, n).
+    def shifts(self, points: Array, masses: Array, areals: Sequence[float]) -> Array:
+        """ln f' - ln f of the list with masses (k,), kg, at points (p, 2), (p, n_areals, k, n).
 
-        areal : mass of a disc over its area, kg/m2
+        areals : mass of a disc over its area, kg/m2
         """
-        out = np.zeros((len(points), len(masses), len(self.listed)))
+        out = np.zeros((len(points), len(areals), len(masses), len(self.listed)))
         # a mean over a disc of radius r is a polynomial in r^2
-        largest = float(np.sqrt(masses.max() / (np.pi * areal)))
+        square = masses / (np.pi * np.array(areals)[:, None])
+        largest = float(np.sqrt(square.max()))
         centre, middle, whole = (self.fields(points, largest * part) for part in (0.0, np.sqrt(0.5), 1.0))
-        for j, m in enumerate(masses):
-            if m > 0.0:
-                s = m / masses.max()
-                fields = (1.0 - s) * ((1.0 - 2.0 * s) * centre + 4.0 * s * middle) + s * (
-                    2.0 * s - 1.0
-                ) * whole
-                out[:, j] = self._shifts(fields, m, areal)
+        for i, j in np.argwhere(square > 0.0):
+            s = square[i, j] / square.max()
+            inner = (1.0 - s) * ((1.0 - 2.0 * s) * centre + 4.0 * s * middle)
+            fields = inner + s * (2.0 * s - 1.0) * whole
+            out[:, i, j] = self._shifts(fields, masses[j], areals[i])
         return out
 
     def _shifts(self, fields: Array, mass: float, areal: float) -> Array:
@@ -167,25 +171,28 @@ class LoadedPlate:
         k = len(self.eigenvalues)
         # about its foot, of a disc of steel
         fields[3:] *= np.sqrt(mass / (4.0 * np.pi * areal) + (areal / _STEEL) ** 2 / 3.0)
+        fields = np.ascontiguousarray(np.swapaxes(fields, 0, 1))
         low, high = fields[..., :k], fields[..., k:]
         # the modes above answer w and the rotations as at the middle of the list, as three modes of unit mass
         above = self.every[k:]
-        answer = high[2:] / (above - self.eigenvalues[self.listed].mean())
-        inertia = np.einsum("apj,bpj->pab", answer, answer)
-        stiffness = np.einsum("apj,bpj,j->pab", answer, answer, above)
+        answer = high[:, 2:] / (above - self.eigenvalues[self.listed].mean())
+        each = np.swapaxes(answer, 1, 2)
+        inertia, stiffness = answer @ each, (answer * above) @ each
         scale = np.sqrt(np.einsum("paa->pa", inertia)) + 1e-300
         unit = scale[:, :, None] * scale[:, None, :]
         root = np.linalg.inv(np.linalg.cholesky(inertia / unit + 1e-9 * np.eye(3)))
         lam, vectors = np.linalg.eigh(root @ (stiffness / unit) @ np.swapaxes(root, 1, 2))
         lam = np.maximum(lam, above[0])
-        answered = np.einsum("apj,bpj->pba", high, answer) / scale[:, :, None]
+        answered = np.swapaxes(high @ each, 1, 2) / scale[:, :, None]
         answered = np.swapaxes(vectors, 1, 2) @ root @ answered
-        load = np.concatenate((np.moveaxis(low, 0, -1), answered), axis=1)
-        values = np.concatenate((np.broadcast_to(self.eigenvalues, (fields.shape[1], k)), lam), axis=1)
-        # (I + m L L^T)^-1/2 = I + Q ((1 + m s^2)^-1/2 - 1) Q^T of the singular vectors Q of L
-        q, singular, _ = np.linalg.svd(load, full_matrices=False)
-        less = (1.0 + mass * singular**2) ** -0.5 - 1.0
-        w = np.eye(k + 3) + (q * less[:, None, :]) @ np.swapaxes(q, 1, 2)
+        load = np.concatenate((np.swapaxes(low, 1, 2), answered), axis=1)
+        values = np.concatenate((np.broadcast_to(self.eigenvalues, (len(load), k)), lam), axis=1)
+        # (I + m L L^T)^-1/2 = I + L V ((1 + m s^2)^-1/2 - 1) / s^2 V^T L^T of the singular values s of L
+        square, v = np.linalg.eigh(np.swapaxes(load, 1, 2) @ load)
+        square = np.maximum(square, 1e-12 * square[:, -1:])
+        less = ((1.0 + mass * square) ** -0.5 - 1.0) / square
+        turned = load @ v
+        w = np.eye(k + 3) + (turned * less[:, None, :]) @ np.swapaxes(turned, 1, 2)
         found = np.linalg.eigvalsh((w * values[:, None, :]) @ w)
         return np.asarray(0.5 * (np.log(found[:, self.listed]) - np.log(values[:, self.listed])))
 
@@ -214,7 +221,8 @@ def loaded_plate(
 
     def scatter(points: Array) -> Array:
         squares = [np.sum(f(points, 0.0)[:3] ** 2, axis=0) for f in others]
-        return np.asarray(np.var(squares, axis=0))
+        at_best = np.sum(fields(points, 0.0)[:3, :, listed] ** 2, axis=0)
+        return np.asarray(np.mean((np.array(squares) - at_best) ** 2, axis=0))
 
     return LoadedPlate(lam[:k], listed, fields, lam, scatter, sides, *mass)
 
@@ -266,18 +274,19 @@ class Cells:
     """Rectangles of a plate with the shifts that a mass in their middle gives.
 
     centre : (p, 2) of 0 to 1; half : (p,) half their sides, of the plate's
-    shifts : (p, n_areal, n_masses, n)
+    shifts, slopes : (p, n_masses, n), at the mean area of a mass, and per standard deviation of it
     scatter : (p, n) as of `LoadedPlate`
     """
 
     centre: Array
     half: Array
     shifts: Array
+    slopes: Array
     scatter: Array
 
     def chosen(self, at: Array) -> Cells:
         """Those at some rows."""
-        return Cells(self.centre[at], self.half[at], self.shifts[at], self.scatter[at])
+        return Cells(*(getattr(self, name)[at] for name in self.__slots__))
 
     def joined(self, other: Cells, keep: Array) -> Cells:
         """Those to keep (p,), and others."""
@@ -287,9 +296,13 @@ class Cells:
 
 
 def _cells(plate: LoadedPlate, centre: Array, half: Array) -> Cells:
-    masses = plate.masses()
-    shifts = np.stack([plate.shifts(centre, masses, a) for a in _AREAL], axis=1)
-    return Cells(centre, half, shifts, plate.scatter(centre))
+    return Cells(centre, half, *_shifts_and_slopes(plate, centre, plate.masses()), plate.scatter(centre))
+
+
+def _shifts_and_slopes(plate: LoadedPlate, points: Array, masses: Array) -> tuple[Array, Array]:
+    """At the mean area of a mass, and per standard deviation of it."""
+    wide, narrow = np.moveaxis(plate.shifts(points, masses, _AREAL), 1, 0)
+    return 0.5 * (wide + narrow), 0.5 * (wide - narrow)
 
 
 @single_blas_thread
@@ -300,26 +313,30 @@ def cells_of(plate: LoadedPlate) -> Cells:
     return _cells(plate, centre, np.full(len(centre), 0.5 / _CELLS))
 
 
-def _log_likelihoods(d: Array, shift: Array, extra: Array, variances: Array) -> Iterator[Array]:
+def _log_likelihoods(d: Array, shift: Array, slope: Array, extra: Array, variances: Array) -> Iterator[Array]:
     """Log likelihood of differences (n,) at shifts (..., n), for each noise (k, n), (...).
 
-    extra : (..., n) further variances
+    slope : (..., n) standard deviation of the shifts that one unknown size gives all of them
+    extra : (..., n) further variances of each
     """
-    away, extra = (np.ascontiguousarray(np.moveaxis(a, -1, 0)) for a in ((d - shift) ** 2, extra))
+    away, slope, extra = (np.ascontiguousarray(np.moveaxis(a, -1, 0)) for a in (d - shift, slope, extra))
     for variance in variances:
-        squares, product = np.zeros(shift.shape[:-1]), np.ones(shift.shape[:-1])
-        for of_mode, more, by_noise in zip(away, extra, variance, strict=True):
-            total = more + by_noise
-            squares += of_mode / total
-            with np.errstate(over="ignore"):  # then it is impossible
-                product *= total / by_noise
-        yield -0.5 * (squares + np.log(product) + np.sum(np.log(2.0 * np.pi * variance)))
+        squares, along, total, product = (np.full(shift.shape[:-1], start) for start in (0.0, 0.0, 1.0, 1.0))
+        for of_mode, common, more, by_noise in zip(away, slope, extra, variance, strict=True):
+            weight = 1.0 / (more + by_noise)
+            weighted = weight * common
+            squares += weight * of_mode**2
+            along += weighted * of_mode
+            total += weighted * common
+            product *= by_noise * weight
+        product = np.log(np.maximum(product, 1e-300)) - np.log(total)
+        yield -0.5 * (squares - along**2 / total - product + np.sum(np.log(2.0 * np.pi * variance)))
 
 
 def _log_likelihood(d: Array, noise: tuple[Array, Array]) -> Array:
     """Log likelihood of differences (n,) where no mass was added, for each noise, with its prior, (k,)."""
     none = np.zeros_like(d)
-    return np.array(list(_log_likelihoods(d, none, none, noise[0]))) + noise[1]
+    return np.array(list(_log_likelihoods(d, none, none, none, noise[0]))) + noise[1]
 
 
 def _without(d: Array, noise: tuple[Array, Array]) -> Array:
@@ -339,31 +356,32 @@ def _or_factor(along: Array, total: Array) -> Array:
     return np.asarray(np.logaddexp(np.log(1.0 - _FACTOR_CHANGED), np.log(_FACTOR_CHANGED) + of_factor))
 
 
-def _between(plate: LoadedPlate, cells: Cells, masses: Array) -> tuple[Array, Array]:
-    """Shifts at masses (k,), linear between those that were computed, and their further variances.
+def _between(plate: LoadedPlate, cells: Cells, masses: Array) -> tuple[Array, Array, Array]:
+    """Shifts at masses (k,) between those that were computed, their slopes, and their further variances.
 
-    (p, n_areal, k, n) each.
+    (p, k, n) each.
     """
     nodes = plate.masses()
     right = np.clip(np.searchsorted(nodes, masses), 1, len(nodes) - 1)
-    part = ((masses - nodes[right - 1]) / (nodes[right] - nodes[right - 1]))[:, None]
-    shift = (1.0 - part) * cells.shifts[:, :, right - 1] + part * cells.shifts[:, :, right]
-    open_ = 0.25 * masses[:, None] ** 2 * cells.scatter[:, None, None, :]
-    return shift, (_FORM * shift) ** 2 + open_
+    of_node, of_mass = (np.log1p(_CURVED * m / plate.mass) for m in (nodes, masses))
+    part = ((of_mass - of_node[right - 1]) / (of_node[right] - of_node[right - 1]))[:, None]
+    shift, slope = ((1.0 - part) * a[:, right - 1] + part * a[:, right] for a in (cells.shifts, cells.slopes))
+    open_ = 0.25 * masses[:, None] ** 2 * cells.scatter[:, None, :]
+    return shift, slope, (_FORM * shift) ** 2 + open_
 
 
 def _weighed(
     plate: LoadedPlate, cells: Cells, d: Array, noise: tuple[Array, Array], masses: Array
 ) -> tuple[Array, Array]:
-    """Log of posterior times evidence, by cell, mass over area and mass (k,), and by noise.
+    """Log of posterior times evidence, by cell and mass (k,), and by noise.
 
     masses : of equal steps of their logarithms
     """
     step = np.log(masses[1] / masses[0]) / np.log(LARGEST / _LEAST)
-    log_prior = np.log(4.0 * cells.half**2 * step / len(_AREAL))[:, None, None]
-    shift, extra = _between(plate, cells, masses)
+    log_prior = np.log(4.0 * cells.half**2 * step)[:, None]
+    shifted = _between(plate, cells, masses)
     log_weight, of_noise = np.array(-np.inf), []
-    for each, log_noise in zip(_log_likelihoods(d, shift, extra, noise[0]), noise[1], strict=True):
+    for each, log_noise in zip(_log_likelihoods(d, *shifted, noise[0]), noise[1], strict=True):
         each += log_prior + log_noise
         of_noise.append(logsumexp(each))
         log_weight = np.logaddexp(log_weight, each)
@@ -441,7 +459,7 @@ def _refined(plate: LoadedPlate, whole: Cells, d: Array, noise: tuple[Array, Arr
     masses = np.geomspace(_LEAST * plate.mass, LARGEST * plate.mass, 60)
 
     def weighed(cells: Cells) -> Array:
-        return np.asarray(logsumexp(_weighed(plate, cells, d, noise, masses)[0], axis=(1, 2)))
+        return np.asarray(logsumexp(_weighed(plate, cells, d, noise, masses)[0], axis=1))
 
     cells, log_weight = whole, weighed(whole)
     for _ in range(_LEVELS):
@@ -472,7 +490,7 @@ def _masses(
     while True:
         masses = np.geomspace(low, high, _FINE)
         log_weight, of_noise = _weighed(plate, cells, d, noise, masses)
-        of_mass = logsumexp(log_weight, axis=(0, 1))
+        of_mass = logsumexp(log_weight, axis=0)
         share = np.exp(of_mass - logsumexp(of_mass))
         carrying = np.flatnonzero(share > _LOST)
         first, last = max(carrying[0] - 1, 0), min(carrying[-1] + 1, _FINE - 1)
@@ -490,23 +508,22 @@ def _found(
     is_stated: bool,
     rng: np.random.Generator,
 ) -> AddedMass:
-    none = float(logsumexp(_without(d, noise)))
-    masses, log_weight, _ = _masses(plate, cells, d, noise)
+    of_none = _without(d, noise)
+    none = float(logsumexp(of_none))
+    masses, log_weight, of_mass = _masses(plate, cells, d, noise)
     evidence = float(logsumexp(log_weight))
     probability = float(1.0 / (1.0 + np.exp(np.clip(none - evidence, -700, 700))))
     # by noise alone
     of_noise = float(np.exp(logsumexp(_log_likelihood(d, noise)) - none)) * (1.0 - _FACTOR_CHANGED)
     of_noise *= 1.0 - probability
     best = np.array(np.unravel_index(int(np.argmax(log_weight)), log_weight.shape))
-    shift, extra = (v[0, best[1], 0] for v in _between(plate, cells.chosen(best[:1]), masses[best[2]][None]))
-    of_level = [
-        lp - 0.5 * np.sum((d - shift) ** 2 / (v + extra) + np.log(v + extra))
-        for v, lp in zip(*noise, strict=True)
-    ]
-    variance = noise[0][int(np.argmax(of_level))]
+    shift, slope, extra = (v[0, 0] for v in _between(plate, cells.chosen(best[:1]), masses[best[1:]]))
+    of_level = np.logaddexp(of_mass, of_none)
+    variance = np.exp(np.exp(of_level - logsumexp(of_level)) @ np.log(noise[0]))
     p_value = 1.0
     if is_stated:
-        left = min(np.sum((d - shift) ** 2 / (variance + extra)), np.sum(d**2 / variance))
+        covariance = np.diag(variance + extra) + np.outer(slope, slope)
+        left = min((d - shift) @ np.linalg.solve(covariance, d - shift), np.sum(d**2 / variance))
         p_value = float(chi2.sf(left, len(d)))
     draws = _drawn(plate, cells, log_weight, masses, rng)
     place, radius, images = _place(plate, whole, draws, cells.centre[best[0]])
@@ -539,10 +556,10 @@ def _found(
 def _drawn(
     plate: LoadedPlate, cells: Cells, log_weight: Array, masses: Array, rng: np.random.Generator
 ) -> Array:
-    """Draws of mass and place, SI, (n, 3): a cell, a mass over area and a mass, anywhere in the cell."""
+    """Draws of mass and place, SI, (n, 3): a cell and a mass, anywhere in the cell."""
     weight = np.exp(log_weight - log_weight.max()).ravel()
     chosen = rng.choice(len(weight), _DRAWS, p=weight / weight.sum())
-    cell, _, at = np.unravel_index(chosen, log_weight.shape)
+    cell, at = np.unravel_index(chosen, log_weight.shape)
     within = rng.uniform(-1.0, 1.0, (_DRAWS, 3))
     place = (cells.centre[cell] + within[:, :2] * cells.half[cell][:, None]) * plate.sides
     step = 0.5 * np.log(masses[1] / masses[0])
@@ -578,7 +595,7 @@ def _place(
 
 def symmetries(plate: LoadedPlate, whole: Cells) -> list[Callable[[Array], Array]]:
     """Maps of places (p, 2) of 0 to 1 to places that no list can tell from them, the identity first."""
-    field = whole.shifts[:, 0, 1].reshape(_CELLS, _CELLS, -1)
+    field = whole.shifts[:, 1].reshape(_CELLS, _CELLS, -1)
     largest = np.abs(field).max()
     found: list[Callable[[Array], Array]] = []
     square = abs(plate.sides[0] / plate.sides[1] - 1.0) < _ALIKE
@@ -604,9 +621,8 @@ def predicted_shifts(
     noise, rounding : (n,) relative, of one list
     """
     point = np.array([place]) / plate.sides
-    each = np.array([plate.shifts(point, np.array([mass]), a)[0, 0] for a in _AREAL])
-    shift = each.mean(axis=0)
-    variance = 2.0 * (noise**2 + rounding**2) + each.var(axis=0) + (0.5 * mass) ** 2 * plate.scatter(point)[0]
+    shift, slope = (v[0, 0] for v in _shifts_and_slopes(plate, point, np.array([mass])))
+    variance = 2.0 * (noise**2 + rounding**2) + slope**2 + (0.5 * mass) ** 2 * plate.scatter(point)[0]
     return shift, np.sqrt(variance + (_FORM**2 + plate.mass_sd**2) * shift**2)
 
 
@@ -648,9 +664,8 @@ def detection_limit(
     instance; the repeatability is taken for known.
     """
     sd = np.sqrt(2.0 * (noise**2 + rounding**2))
-    grid = np.geomspace(_LEAST, LARGEST, 40) * plate.mass
-    shift, _ = _between(plate, _middle_areal(whole), grid)
-    white = (shift[:, 0] / sd).reshape(-1, len(sd))
+    grid = np.geomspace(_LEAST, LARGEST, _WEIGHED) * plate.mass
+    white = (_between(plate, whole, grid)[0] / sd).reshape(-1, len(sd))
     half = 0.5 * np.sum(white**2, axis=1)
     scatter = rng.standard_normal((_LISTS, len(sd)))
     shown = np.argsort(half.reshape(len(whole.half), -1)[:, -1])[int(_HIDDEN * len(whole.half)) :]
@@ -658,8 +673,7 @@ def detection_limit(
     odds = np.log(CLAIMED / (1.0 - CLAIMED))
 
     def claimed(mass: float) -> bool:
-        shifts, _ = _between(plate, _middle_areal(whole), np.array([mass]))
-        d = shifts[where, 0, 0] / sd + scatter
+        d = _between(plate, whole, np.array([mass]))[0][where, 0] / sd + scatter
         log_bayes = (
             logsumexp(white @ d.T - half[:, None], axis=0)
             - np.log(len(half))
@@ -674,7 +688,3 @@ def detection_limit(
         middle = float(np.sqrt(low * high))
         low, high = (low, middle) if claimed(middle) else (middle, high)
     return high
-
-
-def _middle_areal(cells: Cells) -> Cells:
-    return Cells(cells.centre, cells.half, cells.shifts[:, 1:2], cells.scatter)

@@ -72,7 +72,9 @@ def shifts_of_model(edges: str, mass: float, x: float, y: float) -> np.ndarray:
 @pytest.mark.parametrize("fraction", [0.01, 0.08])
 def test_shifts_in_the_modes_are_those_of_a_model_that_holds_the_mass(edges: str, fraction: float) -> None:
     exact = shifts_of_model(edges, fraction * MASS, 60.0, 35.0)
-    found = loaded(edges).shifts(np.array([[60 / 240, 35 / 160]]), np.array([fraction * MASS]), AREAL)[0, 0]
+    found = loaded(edges).shifts(np.array([[60 / 240, 35 / 160]]), np.array([fraction * MASS]), [AREAL])[
+        0, 0, 0
+    ]
     # the form error that is counted with is 2 % of a shift
     assert np.abs(found - exact).max() < 0.02 * np.abs(exact).max()
 
@@ -97,7 +99,7 @@ def test_masses_lie_in_their_intervals_as_often_as_these_say(free: tuple[LoadedP
     inside = []
     for seed in range(12):
         mass, place = MASS * rng.uniform(0.02, 0.06), rng.uniform(size=(1, 2))
-        d = free[0].shifts(place, np.array([mass]), AREAL)[0, 0]
+        d = free[0].shifts(place, np.array([mass]), [AREAL])[0, 0, 0]
         found = answer(free, d + np.sqrt(2) * NOISE * rng.standard_normal(N), seed=seed)
         inside.append(found.interval[0] < mass < found.interval[1])
     # 12 trials of 0.95: below 9 with a probability of 0.002
@@ -146,7 +148,8 @@ def test_lists_tell_each_other_the_repeatability_that_no_file_states(free: tuple
     alone = answer(free, lists[0], noise=None)
     together = find_masses(*free, [(one, unstated) for one in lists], rng)
     assert together[0].log_bayes_factor > alone.log_bayes_factor + 4.0
-    assert abs(np.log(together[0].noise / NOISE)) < abs(np.log(alone.noise / NOISE))
+    # two standard deviations of what about 25 independent differences say of their scatter
+    assert abs(np.log(together[0].noise / NOISE)) < 2.0 / np.sqrt(2 * 25)
     assert together[0].interval[0] < 0.03 * MASS < together[0].interval[1]
     assert all(one.finding is Finding.NOTHING for one in together[1:])
 
@@ -171,7 +174,7 @@ def test_a_mass_at_the_detection_limit_is_mostly_claimed_and_half_of_it_less_oft
     def claimed(mass: float) -> int:
         count = 0
         for _ in range(8):
-            d = free[0].shifts(rng.uniform(0.0, 0.15, (1, 2)), np.array([mass]), AREAL)[0, 0]
+            d = free[0].shifts(rng.uniform(0.0, 0.15, (1, 2)), np.array([mass]), [AREAL])[0, 0, 0]
             d = d + np.sqrt(2) * NOISE * rng.standard_normal(N)
             count += answer(free, d).finding is Finding.ADDED
         return count

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 import cpam_bayes as cb
+from cpam_bayes.plate import Specimen
+from cpam_bayes.questions.identify import slips
 from cpam_bayes.questions.identify.slips import Slip, corrected_file, explaining_slips
 from tests.batches.plates import N_MODES, plate
 from tests.hybrids import hybrid
@@ -125,6 +127,21 @@ def test_sides_exchanged_are_named_and_written_anew(tmp_path: Path) -> None:
 )
 def test_a_slip_is_named(file: Any, expected: tuple[str, int]) -> None:
     assert found(file()) == [expected]
+
+
+def test_slips_are_weighed_once_where_a_list_is_reached_by_none_but_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    weighed: list[str] = []
+
+    def counted(specimen: Specimen) -> tuple[Slip, ...]:
+        weighed.append(specimen.name)
+        return explaining_slips(specimen)
+
+    monkeypatch.setattr(slips, "explaining_slips", counted)
+    answer = cb.identify(stated(listed(11) * np.where(np.arange(11) == 9, 0.1, 1.0)), seed=0)
+    assert [(slip.kind, slip.number) for slip in answer.explained_by] == [("decimal", 1)]
+    assert weighed == ["p"]
 
 
 @pytest.mark.parametrize(

@@ -182,6 +182,7 @@ class Scan:
     """Hypotheses as they are tested, none first.
 
     executor : where they are fitted, ``None`` for this process
+    is_rough : whether the plain model too is left to Laplace's method
     is_explained : whether the plain model explains the lists
     best : largest log of prior times evidence so far
     is_cut_short : whether time was up before all were tested
@@ -191,6 +192,7 @@ class Scan:
     cases: Sequence[PlateCase]
     scatter: float
     executor: Executor | None = None
+    is_rough: bool = False
     tested: list[Tested] = field(default_factory=list)
     not_tested: list[str] = field(default_factory=list)
     is_explained: bool = False
@@ -227,7 +229,8 @@ class Scan:
                 log2_draws=0 if k else _LOG2_PLAIN,
             )
             cases = lists.cases if self.is_incomplete else ()
-            self.tested.append(Tested(hypothesis, plates, sampled_marginal(marginal), cases=cases))
+            marginal = marginal if self.is_rough else sampled_marginal(marginal)
+            self.tested.append(Tested(hypothesis, plates, marginal, cases=cases))
         self.tested = ranked(self.tested)
         self.best = self.tested[0].log_weight
         has_false_peaks = any((case.modes < 0).any() for case in self.plain_cases)

@@ -62,7 +62,7 @@ from cpam_bayes.mechanics.modes import Mode
 from cpam_bayes.plate import Measurement, PlateLike, Specimen, read_plate, user_name
 from cpam_bayes.plate.laminate import flexural_constants
 from cpam_bayes.priors import Prior
-from cpam_bayes.questions.identify.slips import Slip, corrected_texts, require_reachable_or_slip, with_slips
+from cpam_bayes.questions.identify.slips import Slip, corrected_texts, slips_where_unreachable, with_slips
 from cpam_bayes.result import PlateResult, within_time
 from cpam_bayes.running import SILENT, Watch, single_blas_thread
 
@@ -266,7 +266,7 @@ def sample(
         raise ValueError(f"store: received {str(store)!r}, accepted: a directory")
     specimen = require_supported(read_plate(plate), NO_MESH)
     required(specimen)
-    require_reachable_or_slip(specimen)
+    known = slips_where_unreachable(specimen)
     specimen = with_references(specimen)
     latest: list[Diagnostics] = []
 
@@ -285,6 +285,7 @@ def sample(
         return _sampled(
             specimen,
             seed,
+            known,
             likelihood=likelihood,
             degrees_of_freedom=degrees_of_freedom,
             settings=settings,
@@ -299,6 +300,7 @@ def sample(
 def _sampled(
     specimen: Specimen,
     seed: int,
+    known: tuple[Slip, ...],
     *,
     likelihood: Likelihood,
     degrees_of_freedom: float,
@@ -328,7 +330,8 @@ def _sampled(
     evidence = evidence_of(fast, result, seed)
     evidence = reweighted(evidence, posterior, fast, result, seed)
     solves = begun.solves + result.solves + evidence.solves
-    return _summarise(specimen, posterior, model, result, evidence, solves, (start, sampling), seed, notify)
+    clock = start, sampling
+    return _summarise(specimen, posterior, model, result, evidence, solves, clock, seed, notify, known)
 
 
 def _summarise(
@@ -341,6 +344,7 @@ def _summarise(
     clock: tuple[float, float],
     seed: int,
     notify: Callable[[str], None],
+    known: tuple[Slip, ...],
 ) -> SampledResult:
     rng = np.random.default_rng([seed, 3])
     draws = result.draws
@@ -374,7 +378,7 @@ def _summarise(
     shown_modes, shapes = tuple(modes[j] for j in order), by_shape(model)
     noise = marginals.get("relative_std")
     misfit, excess = _excess(measurement, left, len(constants), noise, inferred=inferred)
-    excess, explained_by = with_slips(excess, specimen, misfit, notify)
+    excess, explained_by = with_slips(excess, specimen, misfit, notify, known)
     slips = _slips(specimen, measurement, constants, excess, is_named=bool(explained_by))
     return SampledResult(
         seed=seed,

@@ -38,8 +38,8 @@ from cpam_bayes.questions.identify.slips import (
     GROSS,
     Slip,
     corrected_texts,
-    require_reachable_or_slip,
     slip_records,
+    slips_where_unreachable,
     with_slips,
 )
 from cpam_bayes.render.figures import PREDICTED, new_figure
@@ -127,7 +127,7 @@ def identify_jointly(
     specimens = tuple(require_paired_list(require_supported(read_plate(p), NO_MESH)) for p in plates)
     for specimen in specimens:
         required(specimen)
-        require_reachable_or_slip(specimen)
+    known = [slips_where_unreachable(specimen) for specimen in specimens]
     require_joint(specimens)
     title = f"identify {' '.join(specimen.name for specimen in specimens)}"
     with (
@@ -145,8 +145,8 @@ def identify_jointly(
         )
     # a list that fits alone is not asked
     tried = [
-        with_slips(_excess(fit), with_references(of), fit.alone, watch.announce)
-        for fit, of in zip(estimate.fits, specimens, strict=True)
+        with_slips(_excess(fit), with_references(of), fit.alone, watch.announce, slips)
+        for fit, of, slips in zip(estimate.fits, specimens, known, strict=True)
     ]
     slips = tuple(found for _, found in tried)
     excess = [(fit, notices) for fit, (notices, _) in zip(estimate.fits, tried, strict=True)]

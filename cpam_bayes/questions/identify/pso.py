@@ -40,8 +40,8 @@ from cpam_bayes.questions.identify.joint import JointResult, identify_jointly
 from cpam_bayes.questions.identify.slips import (
     Slip,
     corrected_texts,
-    require_reachable_or_slip,
     slip_records,
+    slips_where_unreachable,
     with_slips,
 )
 from cpam_bayes.render.figures import PREDICTED, extent_of, new_figure, shapes_figure
@@ -290,7 +290,7 @@ def identify(
             'accepted: "whitened", which alone uses a prior; leave it out'
         )
     measurement, _ = required(specimen)
-    require_reachable_or_slip(specimen)
+    known = slips_where_unreachable(specimen)
     if residuals == "whitened":
         specimen = with_references(specimen)
     settings = settings or SwarmSettings()
@@ -320,7 +320,7 @@ def identify(
     unsure = [Notice("angles_disagree")] if angles is not None and angles.swarm.status == "budget" else []
     left = np.array([mode.frequency for mode in estimate.predicted]) / measurement.frequencies - 1.0
     excess = misfit_slips(misfit) or noise_slips(measurement, left, k)
-    excess, explained_by = with_slips(excess, specimen, estimate.rms, watch.announce)
+    excess, explained_by = with_slips(excess, specimen, estimate.rms, watch.announce, known)
     # what has its reference in its prior is not compared with it
     determined = {
         c.name: (c.value, c.sd)

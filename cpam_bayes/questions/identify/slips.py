@@ -68,8 +68,8 @@ __all__ = [
     "corrected_file",
     "corrected_texts",
     "explaining_slips",
-    "require_reachable_or_slip",
     "slip_records",
+    "slips_where_unreachable",
     "with_slips",
 ]
 
@@ -143,28 +143,40 @@ class _Weighed(NamedTuple):
 
 
 def with_slips(
-    excess: tuple[Notice, ...], specimen: Specimen, rms: float, announce: Callable[[str], None]
+    excess: tuple[Notice, ...],
+    specimen: Specimen,
+    rms: float,
+    announce: Callable[[str], None],
+    known: tuple[Slip, ...],
 ) -> tuple[tuple[Notice, ...], tuple[Slip, ...]]:
     """Notices of a misfit with the slips that explain it, and these slips; tried where the misfit is gross.
 
     rms : relative, of the fit. announce : is told that slips are tried
+    known : as of `slips_where_unreachable`
     """
-    if not excess or rms <= GROSS or is_time_up():
+    if not excess or rms <= GROSS or (not known and is_time_up()):
         return excess, ()
-    announce(f"the misfit of {specimen.name} is gross: trying slips of its file")
-    slips = explaining_slips(specimen)
+    if not known:
+        announce(f"the misfit of {specimen.name} is gross: trying slips of its file")
+    slips = known or explaining_slips(specimen)
     said = tuple((s.kind, s.number, s.frequency, s.corrected.plate.edges) for s in slips)
     facts = {"slips": said, "fit": max((s.rms for s in slips), default=0.0)}
     return tuple(replace(notice, facts={**notice.facts, **facts}) for notice in excess), slips
 
 
-def require_reachable_or_slip(specimen: Specimen) -> None:
-    """Raise as `require_reachable` does, but for first frequencies that a slip of the plate file explains."""
+def slips_where_unreachable(specimen: Specimen) -> tuple[Slip, ...]:
+    """The slips of the plate file that explain first frequencies below all of the plate; empty without these.
+
+    Raises as `require_reachable` does where no slip explains them.
+    """
     try:
         require_reachable(specimen)
     except LowFrequencyError:
-        if not explaining_slips(specimen):
+        slips = explaining_slips(specimen)
+        if not slips:
             raise
+        return slips
+    return ()
 
 
 def slip_records(slips: Iterable[Slip]) -> list[dict[str, Any]]:
@@ -239,7 +251,7 @@ def _of_list(specimen: Specimen, share: float) -> Iterator[_Weighed]:
         for h in every
         if is_repairing(h) and len(h.listed.missed) < 2
     ]
-    scan = Scan((case,), SCATTER)
+    scan = Scan((case,), SCATTER, is_rough=True)
     scan.begin(every[0], (0,))
     scan.test([Trial(h, (0,)) for h in every if h.cause == OTHER])
     scan.test_pairings([(h, (0,)) for h in (*errors, *points)])

@@ -8,7 +8,6 @@ from typing import Final
 
 import numpy as np
 
-from cpam_bayes.batches.plate_row import local_likelihood
 from cpam_bayes.command import PLATE, TIME_LIMIT, Command, option
 from cpam_bayes.errors import PlateFileError, checked
 from cpam_bayes.formatting import significant
@@ -87,12 +86,11 @@ def prove(
     seal, digest = seal_of(sealed, len(lists), specimen.plate)
     if digest:
         watch.promise(f"SHA-256 of the seal: {digest}")
-    point = identify(specimen, seed=seed, residuals="relative", watch=watch)
+    point = identify(specimen, seed=seed, watch=watch)
     _require_described(point)
     watch.announce(f"prove {specimen.name}: where a mass gives these shifts")
-    rng = np.random.default_rng(seed)
-    loaded = _loaded(point, rng)
-    whole = cells_of(loaded)
+    loaded = _loaded(point)
+    whole, rng = cells_of(loaded), np.random.default_rng(seed)
     shifts = [np.log(measurement.frequencies / first.frequencies) for _, measurement in further]
     noises = [_repeatability(first, measurement) for _, measurement in further]
     found = find_masses(loaded, whole, list(zip(shifts, noises, strict=True)), rng)
@@ -132,21 +130,12 @@ def _require_described(point: PointResult) -> None:
         )
 
 
-def _loaded(point: PointResult, rng: np.random.Generator) -> LoadedPlate:
+def _loaded(point: PointResult) -> LoadedPlate:
     """The modes of the identified plate, and their scatter over what its list leaves open."""
     estimate, specimen = point.estimate, point.specimen
-    measurement, unknowns = required(specimen)
-    likelihood = local_likelihood(estimate)
-    best = np.array(likelihood.at)
-    prior = np.array([unknowns[name].prior.sd for name in likelihood.names])
-    # in units of the priors: constants differ by many orders of magnitude
-    inner = np.array(likelihood.information) * np.outer(prior, prior) + unknowns.precision
-    lam, vectors = np.linalg.eigh(0.5 * (inner + inner.T))
-    root = vectors / np.sqrt(np.maximum(lam, 1.0))
-    draws = best + prior * (rng.standard_normal((4 * _DRAWS, len(best))) @ root.T)
-    draws = np.clip(draws, unknowns.lower, unknowns.upper)
-    model = estimate.model.full
-    draws = draws[model.admissible(draws)][:_DRAWS]
+    measurement, _ = required(specimen)
+    assert estimate.draws is not None
+    best, model = estimate.optima[0].x, estimate.model.full
     order = list_order(labelled_model(estimate.model, measurement, specimen), best)[: measurement.size]
     plate = specimen.plate
     if plate.mass is not None:
@@ -156,8 +145,8 @@ def _loaded(point: PointResult, rng: np.random.Generator) -> LoadedPlate:
         sd = float(
             np.hypot(of_density, plate.sd.get("thickness", _THICKNESS * plate.thickness) / plate.thickness)
         )
-    sides = (plate.length, plate.width)
-    return loaded_plate(model, best, draws, order, sides, (plate.total_mass, sd))
+    sides, mass = (plate.length, plate.width), (plate.total_mass, sd)
+    return loaded_plate(model, best, estimate.draws.even(_DRAWS), order, sides, mass)
 
 
 def _repeatability(first: Measurement, second: Measurement) -> Repeatability:

@@ -320,7 +320,7 @@ def _computation(result: CoinResult) -> Any:
         "Computation",
         (
             ("modes", f"of the plate as identified from the first list, fit {fit} %"),
-            ("shifts", "of a disc of 12, 24 or 48 kg/m2, steel of 1.5 to 6 mm; 2 % of each for its form"),
+            ("shifts", "of a disc of 12 to 48 kg/m2, steel of 1.5 to 6 mm; 2 % of each for its form"),
             ("repeatability", f"{noise} % of a frequency in each list"),
             ("prior", "0.5 for nothing; else 0.05 to 15 % of the plate's mass, even in its logarithm"),
             ("detection limit", "claimed in 95 % of simulated lists, but for the fifth of the plate where a "
