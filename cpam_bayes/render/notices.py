@@ -109,11 +109,11 @@ def _large_stated_noise(facts: Facts) -> str:
         what = f"{facts['source']} (largest at {hz:.6g} Hz, {_percent(most)})"
         meant = ""
     else:
-        what = f"{noise:g}"
+        what = f"the stated repeatability, {noise:g},"
         meant = f" If {noise:g} % is meant, write {noise / 100.0:g}."
-    return (
-        f"The stated repeatability, {what}, is {_percent(noise)} of a frequency; a tap test repeats to 1 % "
-        f"or better, and with so much noise any misfit passes.{meant}"
+    return capitalised(
+        f"{what} is {_percent(noise)} of a frequency; a tap test repeats to 1 % or better, and with so much "
+        f"noise any misfit passes.{meant}"
     )
 
 
@@ -660,8 +660,8 @@ def _ringing_sensor(facts: Facts) -> str:
 
 def _left_out_peaks(facts: Facts) -> str:
     return (
-        f"Peaks that stand out like modes, and none of the model is there: {_hz(facts['peaks'])}. The plate "
-        "may have what its file lacks: an accelerometer, a clamp that gives. State it, or ask `diagnose`."
+        f"Peaks without a mode of the model that stand out as modes do: {_hz(facts['peaks'])}. The plate may "
+        "have what its file lacks: an accelerometer, a clamp that gives. State it, or ask `diagnose`."
     )
 
 
