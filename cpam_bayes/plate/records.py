@@ -408,7 +408,7 @@ class Measurement:
 
     @property
     def sd_source(self) -> str:
-        """What ``frequency_sd`` is made of, in words: stated in the plate file, or from another file's hits."""
+        """What ``frequency_sd`` is made of: stated in the plate file, or the hits of another file."""
         if not self.origin:
             return "the stated frequency_sd_hz"
         stated = "" if self.relative_std is None else f"the stated {100.0 * self.relative_std:.2g} % and "

@@ -504,7 +504,7 @@ def stated_noise(measurement: Measurement) -> str:
 
 
 def _level(noise: float, measurement: Measurement | None) -> str:
-    """The noise that a misfit is compared with: what the plate file states, what the hits scatter, or both."""
+    """The noise that a misfit is compared with: stated in the plate file, of the hits, or both."""
     level = f"{100.0 * noise:.2g} %"
     stated = None if measurement is None else measurement.relative_std
     is_stated = measurement is None or measurement.frequency_sd is None or not measurement.origin

@@ -262,7 +262,9 @@ def _left_out(d: Diagnosis) -> tuple[str, ...]:
     """The frequencies that the pairing of an incomplete list gives no mode."""
     if d.claim.kind != NONE:
         return ()
-    what = "Peaks" if any(case.measurement.mode_probability is not None for case in d.cases) else "Frequencies"
+    what = (
+        "Peaks" if any(case.measurement.mode_probability is not None for case in d.cases) else "Frequencies"
+    )
     plates = []
     for case in d.cases:
         left = [f"{f:g} Hz" for f in left_aside(case)]
