@@ -629,7 +629,7 @@ def test_a_late_second_stroke_on_a_plate_without_loud_high_modes_is_found(
 
 
 def test_hits_that_follow_each_other_closely_are_hits(tmp_path: Path) -> None:
-    apart, n_hits = int(0.4 * RATE_OF_HITS), 6
+    apart, n_hits = int(0.3 * RATE_OF_HITS), 6
     decays = recorded_hits(np.random.default_rng(6), PLATE, DAMPED, n_hits, Faults(noise=0.002), above=())
     record = np.zeros(n_hits * apart + 80)
     for k, decay in enumerate(decays):
