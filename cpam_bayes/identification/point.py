@@ -381,10 +381,8 @@ def _within_noise(
 
 def _noise(measurement: Measurement, relative: Array, n_unknowns: int) -> tuple[float, bool]:
     """Relative standard deviation of a measured frequency and whether it comes from the residuals."""
-    if measurement.frequency_sd is not None:
-        return float(np.mean(measurement.frequency_sd / measurement.frequencies)), False
-    if measurement.relative_std is not None:
-        return measurement.relative_std, False
+    if measurement.relative_noise is not None:
+        return measurement.relative_noise, False
     freedom = len(relative) - n_unknowns
     if freedom <= 0:  # nothing left over to tell the noise by
         return float("nan"), True

@@ -603,9 +603,10 @@ def _one_list(data: Data) -> Problems:
             f"accepted: one of {', '.join(SOURCES[:-1])} and {SOURCES[-1]}",
             is_gap=not given,
         )
-    for key, source in (("columns", "table"), ("range_hz", "recordings")):
-        if key in measurement and source not in measurement:
-            yield Problem(("measurement", key), f"beside no {source}, accepted: with {source} alone")
+    for key, sources in (("columns", ("table", "peaks")), ("range_hz", ("recordings",))):
+        if key in measurement and not measurement.keys() & set(sources):
+            named = " or ".join(sources)
+            yield Problem(("measurement", key), f"beside no {named}, accepted: with {named} alone")
     for key, cure in _BESIDE.get(given[0], {}).items() if len(given) == 1 else ():
         if key in measurement:
             yield Problem(("measurement", key), cure)

@@ -25,7 +25,7 @@ from cpam_bayes.plate.modes_table import (
 from cpam_bayes.plate.schema import MAX_FREQUENCIES
 from cpam_bayes.plate.text import Data, Problem, number, read_named_file, table
 
-__all__ = ["TableModes", "modes_of", "small_sample_factor", "table_of"]
+__all__ = ["TableModes", "heads_named", "located", "modes_of", "small_sample_factor", "table_of"]
 
 Array = NDArray[Any]
 
@@ -151,7 +151,7 @@ def modes_of(
         hits=np.array([len(mode.rows) for mode in used]),
         left_out=tuple(mode.name for mode in modes if not mode.rows),
         unused=table.unused,
-        remarks=(*_rounded(used, least), *_damped(damping, table.damping_unit)),
+        remarks=(*_rounded(used, least), *_damped(damping, table.units.get("damping", ""))),
     ), ()
 
 
@@ -342,12 +342,7 @@ def table_of(data: Data, directory: Path | None) -> tuple[TableModes | None, lis
     content, unread = read_named_file(_KEY, name, directory, "a table of modes")
     if content is None:
         return None, unread
-    named = {
-        column: [heads] if isinstance(heads, str) else heads
-        for column, heads in table(data, "measurement", "columns").items()
-        if column in COLUMNS and (isinstance(heads, str) or is_texts(heads))
-    }
-    rows, problems, others = read_sheets(content, named)
+    rows, problems, others = read_sheets(content, heads_named(measurement))
     modes: TableModes | None = None
     if rows is not None:
         least = max(number(measurement, "relative_std") or 0.0, 0.0)
@@ -355,8 +350,18 @@ def table_of(data: Data, directory: Path | None) -> tuple[TableModes | None, lis
     if modes is not None and others:
         said = f"tables of modes stand in {' and '.join(others)} too, which are not read"
         modes = replace(modes, remarks=(*modes.remarks, said))
-    return modes, [_located(name, problem) for problem in problems]
+    return modes, [located(_KEY, name, problem) for problem in problems]
 
 
-def _located(name: str, problem: TableProblem) -> Problem:
-    return Problem(_KEY, f"{Path(name).name} {problem}", choices=problem.choices)
+def heads_named(measurement: Data) -> dict[str, list[str]]:
+    """The heads of each column of a table as [measurement.columns] names them."""
+    return {
+        column: [heads] if isinstance(heads, str) else heads
+        for column, heads in table(measurement, "columns").items()
+        if column in COLUMNS and (isinstance(heads, str) or is_texts(heads))
+    }
+
+
+def located(key: tuple[str, ...], name: str, problem: TableProblem) -> Problem:
+    """What is wrong with a table that a plate file names under a key."""
+    return Problem(key, f"{Path(name).name} {problem}", choices=problem.choices)

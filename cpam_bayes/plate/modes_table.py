@@ -23,6 +23,7 @@ from cpam_bayes.plate.text import and_more, received
 
 __all__ = [
     "COLUMNS",
+    "HEIGHT",
     "Hit",
     "ModesTable",
     "TableProblem",
@@ -140,15 +141,15 @@ class Hit:
 class ModesTable:
     """The rows of a table.
 
-    unused : heads of the columns that are not read. step : of the last digit, Hz. damping_unit : of its head,
-    "" where there is none.
+    unused : heads of the columns that are not read. step : of the last digit, Hz. units : of the heads, in
+    lower case, by column, "" where there is none.
     """
 
     hits: tuple[Hit, ...]
     columns: tuple[str, ...]
     unused: tuple[str, ...]
     step: float
-    damping_unit: str = ""
+    units: Mapping[str, str]
 
 
 def read_modes_table(
@@ -233,8 +234,7 @@ def read_modes_table(
         if head.isprintable() and head and not name
     )
     hits = tuple(_hit(row, columns) for row in found.rows)
-    unit = dict(columns).get("damping", "")
-    return ModesTable(hits, names, unused, _step(found, columns), unit), ()
+    return ModesTable(hits, names, unused, _step(found, columns), dict(columns)), ()
 
 
 def _without_heads(text: str) -> Delimited | None:
@@ -522,12 +522,14 @@ def _of_cells(table: Delimited, columns: Sequence[tuple[str, str]]) -> list[Tabl
     return problems
 
 
+HEIGHT: Final = "a height above 0, of the peak over what is there beside it; 20 dB are 10"
+"""What is accepted as the height of a peak."""
 _ACCEPTED: Final[Mapping[str, str]] = {
     "hz": "a frequency above 0",
     "sd": "a standard deviation above 0",
     "damping": "a damping ratio of 0 or above and below 1; of values in % the head says [%]",
     "weight": "a number, 0 or above",
-    "height": "a height above 0",
+    "height": HEIGHT,
 }
 
 
@@ -578,7 +580,7 @@ def _doubts(
     marked = np.array([bool(set(cell) & {".", ","}) for cell in cells])
     as_thousands = all(_THOUSANDS.fullmatch(cell) for cell, mark in zip(cells, marked, strict=True) if mark)
     spans = np.ptp(np.log(f)), np.ptp(np.log(np.where(marked, 1e3 * f, f)))
-    if as_thousands and marked.any() and spans[0] > spans[1]:
+    if as_thousands and 0 < marked.sum() < len(f) and spans[0] > spans[1]:
         accepted = "accepted: no mark between thousands"
         yield here(f"a decimal mark or one between thousands, received {', '.join(cells[:3])}, {accepted}")
     elif np.array_equal(f, np.arange(1.0, len(f) + 1.0)) and len(f) > 1:

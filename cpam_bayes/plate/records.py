@@ -400,10 +400,19 @@ class Measurement:
         return None if self.damping is None else 2.0 * self.damping
 
     @property
+    def relative_noise(self) -> float | None:
+        """Mean standard deviation as a fraction of a frequency, None where it is to be inferred."""
+        if self.frequency_sd is None:
+            return self.relative_std
+        return float(np.mean(self.frequency_sd / self.frequencies))
+
+    @property
     def sd_source(self) -> str:
-        """Where ``frequency_sd`` is stated: the key of the plate file, or the table."""
-        table = self.origin.partition(": ")[0]
-        return f"that of the table {table}" if table else "frequency_sd_hz"
+        """What ``frequency_sd`` is made of: stated in the plate file, or the hits of another file."""
+        if not self.origin:
+            return "the stated frequency_sd_hz"
+        stated = "" if self.relative_std is None else f"the stated {100.0 * self.relative_std:.2g} % and "
+        return f"{stated}the scatter of the hits"
 
     @property
     def names_modes(self) -> bool:

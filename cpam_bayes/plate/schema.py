@@ -268,7 +268,7 @@ class SensorModel(_Table):
 
 
 class ColumnsModel(_Table):
-    """The table [measurement.columns]: the heads of a table of modes."""
+    """The table [measurement.columns]: the heads of a table of modes or peaks."""
 
     mode: Text | None = None
     label: Text | None = None
@@ -284,6 +284,7 @@ class ColumnsModel(_Table):
     sd: Text | None = None
     damping: Text | None = None
     weight: Text | None = None
+    height: Text | None = None
 
 
 RowNumbers = Annotated[
@@ -320,7 +321,11 @@ class MeasurementModel(_Table):
     range_hz: (
         Annotated[
             list[Hertz],
-            Field(min_length=2, max_length=2, description="the two ends of the range of recordings"),
+            Field(
+                min_length=2,
+                max_length=2,
+                description="a list of two numbers, the ends of the range of recordings",
+            ),
         ]
         | None
     ) = None

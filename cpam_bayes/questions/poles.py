@@ -98,10 +98,10 @@ class PolesResult(Result):
     def table(self) -> str:
         """The modes as `[measurement] table` of a plate file reads them; a weight of 0 leaves a mode out."""
         rows = [
-            f"{i},{mode.frequency:.6g},{mode.sd:.3g},{mode.damping:.4g},1"
+            f"{i},{mode.frequency:.6g},{mode.sd:.3g},{mode.damping:.4g},{_height(mode)},1"
             for i, mode in enumerate(self.modes, 1)
         ]
-        return "\n".join(["mode,hz,sd,damping,weight", *rows, ""])
+        return "\n".join(["mode,hz,sd,damping,height,weight", *rows, ""])
 
     def texts(self) -> Mapping[str, str]:
         """The table of modes."""

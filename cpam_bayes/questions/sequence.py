@@ -416,7 +416,8 @@ def _fit(result: StackingResult) -> str:
     rms, noise = float(np.sqrt(np.mean(residual**2))), result.fit.noise
     if result.answer.conditional.template.noise_is_inferred:
         return fit_sentence(rms, inferred=noise)
-    return fit_sentence(rms, stated=noise, explained=result.explained)
+    measurement = result.specimen.measurement
+    return fit_sentence(rms, stated=noise, measurement=measurement, explained=result.explained)
 
 
 def _next_step(result: StackingResult, first: ListedSequence) -> str:

@@ -109,11 +109,11 @@ def _large_stated_noise(facts: Facts) -> str:
         what = f"{facts['source']} (largest at {hz:.6g} Hz, {_percent(most)})"
         meant = ""
     else:
-        what = f"{noise:g}"
+        what = f"the stated repeatability, {noise:g},"
         meant = f" If {noise:g} % is meant, write {noise / 100.0:g}."
-    return (
-        f"The stated repeatability, {what}, is {_percent(noise)} of a frequency; a tap test repeats to 1 % "
-        f"or better, and with so much noise any misfit passes.{meant}"
+    return capitalised(
+        f"{what} is {_percent(noise)} of a frequency; a tap test repeats to 1 % or better, and with so much "
+        f"noise any misfit passes.{meant}"
     )
 
 
@@ -650,6 +650,12 @@ def _short_hits(facts: Facts) -> str:
     )
 
 
+def _silent_channels(facts: Facts) -> str:
+    numbers = [str(number) for number in facts["channels"]]
+    are = f"Channel {numbers[0]} is" if len(numbers) == 1 else f"Channels {listed(numbers, 'and')} are"
+    return f"{are} constant or noise alone: is a sensor connected there? Channels with modes are used."
+
+
 def _ringing_sensor(facts: Facts) -> str:
     return (
         f"{_percent(facts['share'])} of the power of channel {facts['channel']} is a tone at "
@@ -660,13 +666,17 @@ def _ringing_sensor(facts: Facts) -> str:
 
 def _left_out_peaks(facts: Facts) -> str:
     return (
-        f"Peaks that stand out like modes, and none of the model is there: {_hz(facts['peaks'])}. The plate "
-        "may have what its file lacks: an accelerometer, a clamp that gives. State it, or ask `diagnose`."
+        f"Peaks without a mode of the model that stand out as modes do: {_hz(facts['peaks'])}. The plate may "
+        "have what its file lacks: an accelerometer, a clamp that gives. State it, or ask `diagnose`."
     )
 
 
 def _clipped_files(facts: Facts) -> str:
     return f"Clipped and not used: {', '.join(facts['files'])}. Lower the gain and hit again."
+
+
+def _repeated_files(facts: Facts) -> str:
+    return f"Given twice, or the same as another file, and counted once: {', '.join(facts['files'])}."
 
 
 def _poor_poles(facts: Facts) -> str:
@@ -805,8 +815,10 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "double_hits": _double_hits,
     "short_hits": _short_hits,
     "ringing_sensor": _ringing_sensor,
+    "silent_channels": _silent_channels,
     "left_out_peaks": _left_out_peaks,
     "clipped_files": _clipped_files,
+    "repeated_files": _repeated_files,
     "time_up": _time_up,
     # what is missing, as a part of the sentence above
     "cut_swarm": "a swarm ended after {done} of {of} iterations",

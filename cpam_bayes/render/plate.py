@@ -100,7 +100,8 @@ def measured_facts(specimen: Specimen) -> Table:
     if measurement.frequency_sd is not None:
         low, high = measurement.frequency_sd.min(), measurement.frequency_sd.max()
         span = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
-        made = "of a single hit, from the table" if measurement.origin else "as given"
+        of_table = "of a single hit, from the table" if measurement.origin else "as given"
+        made = of_table if measurement.mode_probability is None else measurement.sd_source
         repeatability = f"standard deviation {span} Hz, {made}"
     elif measurement.relative_std is not None:
         repeatability = f"{100.0 * measurement.relative_std:.3g} % of a frequency, as given"

@@ -200,19 +200,20 @@ def fit_sentence(
     rms: float,
     *,
     stated: float | None = None,
+    measurement: Measurement | None = None,
     inferred: float | None = None,
     explained: bool = True,
     freedom: int | None = None,
 ) -> str:
     """How well the model fits, against the noise.
 
-    rms : of the relative residuals. stated : relative repeatability of the measurement. inferred : relative
-    noise from the misfit, where none is stated. explained : whether the noise as stated explains the misfit.
-    freedom : frequencies less constants.
+    rms : of the relative residuals. stated : relative noise of the measurement, which says what is in it.
+    inferred : relative noise from the misfit, where none is stated. explained : whether the noise as stated
+    explains the misfit. freedom : frequencies less constants.
     """
     fit = f"Fit {_percent(rms)} %"
     if stated is not None:
-        level = f"the stated repeatability of {100.0 * stated:.2g} %"
+        level = _level(stated, measurement)
         if not explained:
             return f"{fit}, worse than {level}."
         if rms <= _AS_GOOD * stated:
@@ -494,10 +495,20 @@ def noise_word(level: float) -> str:
 
 
 def stated_noise(measurement: Measurement) -> str:
-    """Where the noise of a measurement is stated."""
+    """What the noise of a measurement is made of."""
     if measurement.frequency_sd is None or not measurement.origin:
         return "as stated in the plate file"
     return measurement.sd_source
+
+
+def _level(noise: float, measurement: Measurement | None) -> str:
+    """The noise that a misfit is compared with: stated in the plate file, of the hits, or both."""
+    level = f"{100.0 * noise:.2g} %"
+    stated = None if measurement is None else measurement.relative_std
+    is_stated = measurement is None or measurement.frequency_sd is None or not measurement.origin
+    if measurement is None or is_stated or (stated is not None and f"{100.0 * stated:.2g} %" == level):
+        return f"the stated repeatability of {level}"
+    return f"{measurement.sd_source}, {level}{'' if stated is None else ' together'}"
 
 
 def _densities_of_plies(specimen: Specimen) -> bool:

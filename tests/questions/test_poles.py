@@ -18,6 +18,7 @@ import cpam_bayes as cb
 from cpam_bayes.answer import Notice
 from cpam_bayes.plate.modal_analysis.fit import Pole, Taken, fit_poles, is_of_mains, modes_of_hits, stabilise
 from cpam_bayes.plate.modal_analysis.hits import FrequencyResponses, ModalTestError
+from cpam_bayes.plate.modal_analysis.peaks import mode_probability
 from tests.plate_file import BAR
 from tests.synthetic_poles import accelerance, eigenvalues, known_test
 from validation.recorded_hits import RATE as RATE_OF_HITS
@@ -236,7 +237,7 @@ def test_a_record_clipped_at_its_top_is_refused(tmp_path: Path, kind: type, gain
         ),
         (("hits.wav",), {"force": 2, "response": [2]}, "received 2 for both"),
         (("hits.wav",), {"force": 3, "response": [2]}, "no channel 3, accepted: 1 to 2"),
-        (("none.unv",), {}, "no such file, accepted: frequency responses"),
+        (("none.unv",), {}, "no such file or folder, accepted: frequency responses"),
         (("",), {}, "no recordings in this folder, accepted: .wav files"),
         ((), {}, "no file, accepted: one or more"),
     ],
@@ -302,6 +303,11 @@ def test_the_table_is_read_by_a_plate_file(run, tmp_path: Path) -> None:
     np.testing.assert_allclose(measurement.frequencies, [m["hz"] for m in document["modes"]], rtol=1e-5)
     np.testing.assert_allclose(measurement.frequency_sd, [m["sd"] for m in document["modes"]], rtol=1e-2)
     np.testing.assert_allclose(measurement.damping, [m["damping"] for m in document["modes"]], rtol=1e-3)
+    as_peaks = f'{BAR}[measurement]\npeaks = "out/modes.csv"\n'
+    (tmp_path / "bar.toml").write_text(as_peaks, encoding="utf-8")
+    heights = np.array([m["height"] for m in document["modes"]])
+    probability = cb.read_plate(tmp_path / "bar.toml").measurement.mode_probability
+    np.testing.assert_allclose(probability, mode_probability(heights, np.ones(5)), rtol=0.02)
 
 
 def test_the_screen_says_what_to_do_and_names_close_modes(run, tmp_path: Path) -> None:
@@ -348,6 +354,7 @@ HIT: dict[str, Any] = {"response": [1], "window": "none"}
 @pytest.mark.parametrize(
     ("name", "content", "options", "said"),
     [
+        ("sub/hits", None, {}, "hits: no such file or folder, accepted"),
         ("tap.doc", b"", {}, "unknown ending, accepted: frequency responses"),
         ("tap.unv", b"hello", {}, "no frequency response functions, accepted: datasets 58 of type 4"),
         ("tap.csv", b"a,b\n1,2\n", {}, "no table of responses, accepted: a line of heads with hz"),
@@ -370,7 +377,12 @@ HIT: dict[str, Any] = {"response": [1], "window": "none"}
         ("tap.unv", b"    -1\n" * 30_000, {}, "received 15000 datasets, accepted: 10000 at most"),
         ("tap.wav", wave(0, np.ones(9, np.int16)), HIT, "9 samples, 0 a second, accepted: above 0"),
         ("tap.wav", wave(8, np.full(99, np.nan)), HIT, "samples that are no numbers"),
-        ("tap.wav", wave(1, np.ones(2000, np.int16)), HIT, "2000 hits, accepted: 1000 at most"),
+        (
+            "tap.wav",
+            wave(1, np.tile(np.array([1, 0, 0], np.int16), 2000)),
+            HIT,
+            "2000 hits, accepted: 1000 at most",
+        ),
         (
             "tap.wav",
             wave(48_000, np.tile(np.array([255, 0], np.uint8), 4_100_000)),
@@ -389,10 +401,17 @@ HIT: dict[str, Any] = {"response": [1], "window": "none"}
             {},
             "phases up to 3.1 of no unit, accepted: phas",
         ),
+        (
+            "tap.csv",
+            listed("hz,magnitude,phase [deg]", "61.0,100.0"),
+            {},
+            "magnitudes from 61 to 61 of no unit, as levels in dB are, accepted: magnitude [dB]",
+        ),
     ],
 )
 def test_what_cannot_be_read_is_said(tmp_path, name, content, options, said) -> None:
-    (tmp_path / name).write_bytes(content)
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
     with pytest.raises(ModalTestError) as caught:
         cb.poles(tmp_path / name, **options)
     assert said in str(caught.value)
@@ -547,10 +566,112 @@ def test_a_clipped_file_is_left_out_and_a_hit_on_another_plate_is_named(tmp_path
     assert len(result.modes[0].each) == 5
 
 
-def test_two_accelerometers_are_both_responses_and_so_is_a_channel_without_a_signal(tmp_path: Path) -> None:
-    one, other = recorded_hits(np.random.default_rng(8), PLATE, DAMPED, 2)
-    for name, second in (("two", other), ("dead", np.zeros_like(one))):
-        wavfile.write(tmp_path / f"{name}.wav", RATE_OF_HITS, np.stack((one, second), axis=1))
-        result = cb.poles(tmp_path / f"{name}.wav", high_hz=700.0)
-        assert "2 responses alone: free decays (channels 1, 2)" in result.test.responses.origin
+def test_two_accelerometers_are_both_responses_and_a_channel_without_a_signal_is_named(
+    tmp_path: Path,
+) -> None:
+    rng = np.random.default_rng(8)
+    one, other = recorded_hits(rng, PLATE, DAMPED, 2)
+    noise = (40.0 * rng.standard_normal(len(one))).astype(np.int16)
+    for second, said, silent in (
+        (other, "2 responses alone: free decays (channels 1, 2)", ()),
+        (np.zeros_like(one), "1 response alone: free decays (channel 1)", (2,)),
+        (noise, "1 response alone: free decays (channel 1)", (2,)),
+    ):
+        wavfile.write(tmp_path / "two.wav", RATE_OF_HITS, np.stack((one, second), axis=1))
+        result = cb.poles(tmp_path / "two.wav", high_hz=700.0)
+        assert said in result.test.responses.origin
+        assert [n.facts["channels"] for n in result.notices if n.code == "silent_channels"] == [silent][
+            : len(silent)
+        ]
         assert_found(result, 0.003)
+
+
+def test_the_force_is_told_beside_a_channel_without_a_signal(tmp_path: Path) -> None:
+    decay = recorded_hits(np.random.default_rng(8), PLATE, DAMPED, 1)[0]
+    force = np.zeros_like(decay)
+    force[80:84] = (8000, 16000, 16000, 8000)
+    channels = np.stack((np.zeros_like(decay), force, decay), axis=1)
+    wavfile.write(tmp_path / "three.wav", RATE_OF_HITS, channels)
+    result = cb.poles(tmp_path / "three.wav", high_hz=700.0)
+    assert "1 response over force (channel 2" in result.test.responses.origin
+
+
+def test_a_file_that_is_given_twice_or_was_copied_counts_once(tmp_path: Path) -> None:
+    records = recorded_hits(np.random.default_rng(8), PLATE, DAMPED, 2)
+    once = of_hits(tmp_path, records)
+    (tmp_path / "hit_2.wav").write_bytes((tmp_path / "hit_0.wav").read_bytes())
+    twice = cb.poles(tmp_path, tmp_path / "hit_1.wav", high_hz=700.0)
+    assert [n.facts["files"] for n in twice.notices if n.code == "repeated_files"] == [
+        ("hit_2.wav", "hit_1.wav")
+    ]
+    assert twice.modes == once.modes
+
+
+def test_an_offset_is_no_stroke(tmp_path: Path) -> None:
+    (record,) = recorded_hits(np.random.default_rng(3), PLATE, DAMPED, 1, Faults(noise=0.01), above=())
+    centred, offset = (of_hits(tmp_path, [(record // 2 + added).astype(np.int16)]) for added in (0, 15000))
+    assert "double_hits" not in codes(offset)
+    np.testing.assert_allclose(
+        [mode.frequency for mode in offset.modes], [mode.frequency for mode in centred.modes], rtol=1e-4
+    )
+
+
+@pytest.mark.parametrize(
+    ("after", "code"), [(0.15, "double_hits"), (0.2, "double_hits"), (0.3, "short_hits")]
+)
+def test_a_late_second_stroke_on_a_plate_without_loud_high_modes_is_found(
+    tmp_path: Path, after: float, code: str
+) -> None:
+    faults = Faults(second_stroke=after, noise=0.005)
+    result = of_hits(tmp_path, recorded_hits(np.random.default_rng(5), PLATE, DAMPED, 1, faults, above=()))
+    assert code in codes(result)
+    assert_found(result, 0.003)
+
+
+def test_hits_that_follow_each_other_closely_are_hits(tmp_path: Path) -> None:
+    apart, n_hits = int(0.3 * RATE_OF_HITS), 6
+    decays = recorded_hits(np.random.default_rng(6), PLATE, DAMPED, n_hits, Faults(noise=0.002), above=())
+    record = np.zeros(n_hits * apart + 80)
+    for k, decay in enumerate(decays):
+        ringing = decay[: len(record) - k * apart]
+        record[k * apart : k * apart + len(ringing)] += 0.5 * ringing
+    result = of_hits(tmp_path, [record.astype(np.int16)])
+    assert len(result.test.responses.each_hit) == n_hits
+    assert not codes(result) & {"double_hits", "short_hits"}
+
+
+def test_noise_of_the_force_is_a_part_of_the_standard_deviations(tmp_path: Path) -> None:
+    errors = []
+    for seed in range(6):
+        rng = np.random.default_rng([36, seed])
+        faults = Faults(noise=0.005, drift=0.0)
+        decay = recorded_hits(rng, PLATE, DAMPED, 1, faults, above=())[0]
+        force = 60.0 * rng.standard_normal(len(decay))
+        force[80:84] += (10000.0, 20000.0, 20000.0, 10000.0)
+        wavfile.write(tmp_path / "hit.wav", RATE_OF_HITS, np.stack((force.astype(np.int16), decay), axis=1))
+        for mode in cb.poles(tmp_path / "hit.wav", high_hz=700.0).modes:
+            known = int(np.argmin(np.abs(PLATE - mode.frequency)))
+            errors.append(abs(mode.damping - DAMPED[known]) / mode.damping_sd)
+    assert len(errors) > 36
+    # 0.95 less three standard errors of 40
+    assert np.mean(np.array(errors) < 1.96) > 0.84
+
+
+@pytest.mark.parametrize(
+    ("heads", "level"),
+    [
+        ("Frequenz [Hz];Realteil;Imaginärteil", None),
+        ("Frequenz [Hz];Betrag [dB];Phase [°]", 20.0),
+        ("Frequenz [Hz];Amplitude [m/s2/N];Phase [Grad]", 1.0),
+    ],
+)
+def test_responses_with_german_heads_are_read(tmp_path: Path, heads: str, level: float | None) -> None:
+    data = responses(n_responses=1)
+    frf = data.frf[0]
+    size = np.abs(frf) if level == 1.0 else 20.0 * np.log10(np.abs(frf))
+    cells = (frf.real, frf.imag) if level is None else (size, np.degrees(np.angle(frf)))
+    lines = [
+        ";".join(f"{value:.9g}" for value in row).replace(".", ",") for row in zip(LINES, *cells, strict=True)
+    ]
+    (tmp_path / "tap.csv").write_text("\n".join([heads, *lines]), encoding="utf-8")
+    assert_known(cb.poles(tmp_path / "tap.csv", order=40, high_hz=390.0).modes)

@@ -175,6 +175,14 @@ def test_a_candidate_that_is_left_out_takes_what_belongs_to_it_along(tmp_path: P
     assert cb.posterior(path).pairing.spurious == tuple(left.false_peaks)
 
 
+WRONG_PEAKS = {
+    "twice": "hz,height\n114.7,20\n164.7,9\n114.7,20\n",
+    "nan": "hz,height\nnan,3\n164.7,4\n",
+    "db": "hz,height [dB]\n114.7,26\n164.7,20\n",
+    "low": "hz,height\n114.7,-3\n164.7,-15\n",
+}
+
+
 @pytest.mark.parametrize(
     ("measured", "said"),
     [
@@ -185,7 +193,15 @@ def test_a_candidate_that_is_left_out_takes_what_belongs_to_it_along(tmp_path: P
         ('recordings = ["noise.wav"]\nlabels = [""]', "beside candidate peaks, accepted: no labels"),
         ('peaks = "peaks.csv"\nrange_hz = [1, 2]', "beside no recordings"),
         ('peaks = "none.csv"', r"measurement\.peaks: no such file"),
-        ('peaks = "peaks.csv"', "line 2: no height"),
+        ('recordings = ["folder"]', "no such file or folder"),
+        ('peaks = "peaks.csv"', "line 2, column height: no height"),
+        ('peaks = "twice.csv"', r"twice\.csv line 4, column hz: received 114\.7 Hz as in line 2"),
+        ('peaks = "nan.csv"', r"nan\.csv line 2, column hz: no frequency"),
+        (
+            'peaks = "db.csv"',
+            r"db\.csv column height: unknown unit db, accepted: a height above 0, of the peak",
+        ),
+        ('peaks = "low.csv"', r"low\.csv line 2, column height: .*received -3, accepted: a height above 0"),
         ('peaks = "peaks.csv"\nfrequencies_hz = [100]', "one of frequencies_hz, table, recordings, peaks"),
     ],
 )
@@ -193,7 +209,18 @@ def test_what_cannot_be_read_is_one_clear_error(tmp_path: Path, measured: str, s
     (tmp_path / "noise.wav").write_bytes(b"no sound")
     (tmp_path / "peaks.csv").write_text("hz,sd\n100,0.1\n", encoding="utf-8")
     (tmp_path / "empty").mkdir()
+    for name, content in WRONG_PEAKS.items():
+        (tmp_path / f"{name}.csv").write_text(content, encoding="utf-8")
     path = tmp_path / "plate.toml"
     path.write_text(f"{PLATE}[measurement]\n{measured}\n", encoding="utf-8")
     with pytest.raises(PlateFileError, match=said):
         cb.read_plate(path)
+
+
+def test_heads_of_peaks_may_be_named_and_their_order_is_free(tmp_path: Path) -> None:
+    peaks = "f0;h\n115,673;10\n165,530;20\n99,570;20\n"  # not in order, three decimals
+    (tmp_path / "peaks.csv").write_text(peaks, encoding="utf-8")
+    path = tmp_path / "plate.toml"
+    named = '[measurement.columns]\nhz = "f0"\nheight = "h"\n'
+    path.write_text(f'{PLATE}[measurement]\npeaks = "peaks.csv"\n{named}', encoding="utf-8")
+    np.testing.assert_allclose(cb.read_plate(path).measurement.frequencies, [99.57, 115.673, 165.53])

@@ -120,6 +120,8 @@ FACTS: dict[str, dict[str, object]] = {
     "left_out_peaks": {"peaks": (430.4,)},
     "ringing_sensor": {"channel": 2, "frequency": 8300.0, "share": 0.93},
     "clipped_files": {"files": ("h1.wav",)},
+    "repeated_files": {"files": ("h1.wav",)},
+    "silent_channels": {"channels": (2,)},
     "time_up": {"seconds": 3.0, "missing": (("cut_gain", {}), ("cut_swarms", {"done": 1, "of": 3}))},
     "cut_swarm": {"done": 0, "of": 400},
     "cut_swarms": {"done": 1, "of": 3},

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from cpam_bayes.answer import Constant, Verdict
 from cpam_bayes.forward_model.known_errors import FREQUENCY_SCALE, ScaleError
 from cpam_bayes.parameters import TruncatedNormal, Uniform
-from cpam_bayes.plate import builtin
+from cpam_bayes.plate import Measurement, builtin
 from cpam_bayes.render.sentences import (
     constant_rows,
     constants_headline,
@@ -69,6 +70,15 @@ def test_the_fit_is_told_against_the_noise() -> None:
     assert "worse than" in fit_sentence(0.009, stated=0.002, explained=False)
     assert "4.5 times the stated repeatability" in fit_sentence(0.009, stated=0.002)
     assert "1.3 %, high for a tap test" in fit_sentence(0.01, inferred=0.013)
+    f = np.array([100.0, 200.0])
+    hits = Measurement(f, 0.0, None, 0.004 * f, ("", ""), complete=True, origin="hits.csv: means of 5 hits")
+    assert "as good as the scatter of the hits, 0.4 %." in fit_sentence(0.004, stated=0.004, measurement=hits)
+    both = replace(hits, relative_std=0.002)
+    said = fit_sentence(0.004, stated=0.004, measurement=both)
+    assert "as good as the stated 0.2 % and the scatter of the hits, 0.4 % together." in said
+    slight = replace(hits, relative_std=0.003999)
+    said = fit_sentence(0.004, stated=0.004, measurement=slight)
+    assert "as good as the stated repeatability of 0.4 %." in said
     assert "nothing is left" in fit_sentence(0.0, inferred=math.nan, freedom=0)
 
 

@@ -114,11 +114,13 @@ class _Band:
     omega : (n,) rad/s
     data : (n, n_responses)
     fixed : (n_fixed,) poles that stay where they are, rad/s
+    force_noise : (n, n_responses) variance of data by the noise of the force
     """
 
     omega: Array
     data: Array
     fixed: Array
+    force_noise: Array
 
     def fitted(self, poles: Array) -> tuple[Array, Array, Array]:
         """The responses less poles (n_poles,), their best residues, and a basis of all."""
@@ -188,7 +190,13 @@ def _solved(band: _Band, poles: Array) -> _Fit | None:
             break
     weight = 1.0 / np.sqrt(np.maximum(m * np.sum(np.abs(left) ** 2, axis=0) / freedom, tiny))
     peaks = residues / -poles.real[:, None]
-    return _Fit(poles, np.diag(inverse).real, peaks, left * weight, weight, freedom)
+    # noise of the force is largest at the peaks, where residuals are fitted away: it is added as known, and
+    # what it leaves in the residuals is taken off
+    moved = np.abs(inverse @ (slopes.conj()[:, None, :] * amplitudes.T.conj()).reshape(-1, len(poles)).T) ** 2
+    of_force = 0.5 * band.force_noise * weight**2
+    share = np.average(of_force.mean(axis=1), weights=1.0 - np.sum(np.abs(q) ** 2, axis=1))
+    variance = np.diag(inverse).real * max(1.0 - float(share), 0.0) + moved @ of_force.ravel()
+    return _Fit(poles, variance, peaks, left * weight, weight, freedom)
 
 
 def _band_about(responses: FrequencyResponses, candidates: Array, target: int) -> tuple[_Band, Array]:
@@ -199,7 +207,9 @@ def _band_about(responses: FrequencyResponses, candidates: Array, target: int) -
     away = np.abs(candidates.imag - s.imag) / (2.0 * np.pi)
     fixed = candidates[(away > _FREE * reach) & (away <= _FIXED * reach)]
     omega = 2.0 * np.pi * responses.frequencies[lines]
-    return _Band(omega, responses.frf[:, lines].T, fixed), away <= _FREE * reach
+    data = responses.frf[:, lines].T
+    relative = 0.0 if responses.force_noise is None else responses.force_noise[:, lines].T
+    return _Band(omega, data, fixed, relative * np.abs(data) ** 2), away <= _FREE * reach
 
 
 def _explains(band: _Band, fit: _Fit, at: int) -> bool:

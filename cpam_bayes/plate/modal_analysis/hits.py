@@ -8,10 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_toeplitz
+from scipy.signal import lfilter
 
 from cpam_bayes.answer import Notice, each_once
 
@@ -28,6 +31,7 @@ __all__ = [
     "require_unclipped",
     "responses_of_hits",
     "told_channels",
+    "without_silent",
 ]
 
 Array = NDArray[Any]
@@ -52,6 +56,7 @@ class FrequencyResponses:
     notices : what makes them doubtful
     hit : (n_responses,) the number of the hit of each, from 0; empty where all are of one
     struck_twice : (n_hits,) of recorded hits, whether the hammer touched the plate twice
+    force_noise : (n_responses, n) variance of frf by the noise of the force over |frf|^2; None for none
     """
 
     frequencies: Array
@@ -61,6 +66,7 @@ class FrequencyResponses:
     notices: tuple[Notice, ...] = ()
     hit: tuple[int, ...] = ()
     struck_twice: tuple[bool, ...] = ()
+    force_noise: Array | None = None
 
     def __post_init__(self) -> None:
         for name in ("frequencies", "frf"):
@@ -79,7 +85,16 @@ class FrequencyResponses:
         numbers = np.array(self.hit)
         if len(set(self.hit)) < 2:
             return (self,)
-        return tuple(replace(self, frf=self.frf[numbers == k], hit=()) for k in sorted(set(self.hit)))
+        noise = self.force_noise
+        return tuple(
+            replace(
+                self,
+                frf=self.frf[numbers == k],
+                hit=(),
+                force_noise=None if noise is None else noise[numbers == k],
+            )
+            for k in sorted(set(self.hit))
+        )
 
 
 # A clipped channel holds its largest value for so many samples: once at full scale, else at several places.
@@ -89,8 +104,10 @@ _RINGS, _AFTER, _FOR = 0.2, 0.02, 0.01
 _BLOCK: Final = 0.002
 # A force has its power in so many times fewer samples than the responses.
 _SHORTER: Final = 5.0
-# A second stroke is this many times the loudest of so many blocks before it, and this part of the first.
-_JUMP, _BLOCKS_APART, _OF_STROKE = 3.0, 5, 0.1
+# A further stroke is this many times the loudest of so many blocks before it, and this part of the first.
+_JUMP, _BLOCKS_APART, _OF_STROKE, _LEAST_BLOCK = 3.0, 5, 0.1, 8
+# Samples that one is predicted from, and the least part of noise in a signal.
+_PREDICTED_FROM, _ROUNDING = 40, 1e-9
 MAINS: Final = (50.0, 60.0)
 """Frequencies of the mains, Hz."""
 # The end of a record, as a fraction, and the least part of its power, and of the
@@ -216,8 +233,12 @@ _LEAST_LINES: Final = 50
 # A range that is found from the responses has these lines at least: twice the poles of the default order.
 _LEAST_FOUND: Final = 150
 _MOST_HITS: Final = 1000
+# Standard deviation of Gaussian noise over the median of its sizes.
+_SD_OF_MEDIAN: Final = 1.4826
 # A force lasts while it is above this part of its largest value.
 _OF_PULSE: Final = 0.1
+# Lines beside 0 Hz are drift; noise lasts longer than the pulse of a force, which has as even a spectrum, s.
+_DRIFT_LINES, _LASTING = 5, 0.05
 # A tone beyond the range that has this share of a response's power is no plate's: these have many modes.
 _RINGING: Final = 0.8
 
@@ -243,14 +264,15 @@ class Recording:
 class _Hit(NamedTuple):
     """A hit: channels (1 + n_responses, n), or (n_responses, n) without force; whether double.
 
-    start : in its file, s. late : (start, length), s, of what was cut off as too short for a hit
+    start : in its file, s. usual : length of the hits in which half the time is from one clear onset to the
+    next, samples
     """
 
     channels: Array
     is_double: bool
     file: str
     start: float
-    late: tuple[tuple[float, float], ...]
+    usual: int
 
 
 def responses_of_hits(
@@ -259,7 +281,7 @@ def responses_of_hits(
     """Responses over force of every hit, H = conj(F) X / |F|^2; without it, spectra of decays.
 
     Each hit begins where its force, or its largest response, rises. All hits have the length of the shortest,
-    once those of less than half the median length are left out.
+    once those of less than half the usual length are left out.
     Spectra end at ``high``, Hz, or where the force has fallen to a tenth, or a quarter above the last line of
     a decay that stands above its noise.
 
@@ -268,15 +290,15 @@ def responses_of_hits(
     cut = [hit for one in recordings for hit in _hits(one)]
     if not cut:
         raise ModalTestError("no hit, accepted: a record in which force or response rises above its noise")
-    rate, least = recordings[0].rate, _LONG_ENOUGH * np.median([hit.channels.shape[1] for hit in cut])
+    rate, least = recordings[0].rate, _LONG_ENOUGH * np.median([hit.usual for hit in cut])
     every = [hit for hit in cut if hit.channels.shape[1] >= least]
     hits, twice = [hit.channels for hit in every], tuple(hit.is_double for hit in every)
     n = min(len(hit[0]) for hit in hits)
     decay = -np.log(_END) * rate / n if window == "exponential" else 0.0
     weight = np.exp(-decay * np.arange(n) / rate)
+    has_force = recordings[0].force is not None
     spectra = np.stack([np.fft.rfft(hit[:, :n] * weight, axis=1) for hit in hits])  # hits, channels, lines
     frequencies = np.fft.rfftfreq(n, 1.0 / rate)
-    has_force = recordings[0].force is not None
     notices = (*_hums(recordings), *_too_short(cut, rate, least))
     if any(twice):
         numbers = tuple(number for number, is_double in enumerate(twice, 1) if is_double)
@@ -287,11 +309,13 @@ def responses_of_hits(
         power = np.sum(np.abs(force) ** 2, axis=0)
         each = np.maximum(np.abs(force) ** 2, np.finfo(float).tiny)
         frf = (force.conj() * response / each).reshape(-1, len(frequencies))
+        force_noise = np.repeat(_force_noise(hits, force[:, 0], n), response.shape[1], axis=0)
         fallen = np.flatnonzero(power[0] < _FORCE_LEFT**2 * power[0].max())
         fallen = fallen[fallen > np.argmax(power[0])]  # an AC coupling leaves little at 0 Hz
         end = int(fallen[0]) if high is None and len(fallen) else len(frequencies)
     else:
         frf = spectra.reshape(-1, len(frequencies))
+        force_noise = np.zeros(frf.shape)
         last = last_line_of_modes(relative_power(frf))
         if high is not None and frequencies[last] > high:
             notices += (Notice("modes_beyond_range", facts={"frequency": float(frequencies[last])}),)
@@ -313,7 +337,17 @@ def responses_of_hits(
         notices,
         tuple(np.repeat(np.arange(len(hits)), recordings[0].responses.shape[0]).tolist()),
         twice,
+        force_noise[:, :end],
     )
+
+
+def _force_noise(hits: Sequence[Array], force: Array, n: int) -> Array:
+    """The relative variance of each hit's force by its noise, (n_hits, n_lines); force : its spectra.
+
+    The median of a force is that of its noise, as the hammer touches the plate for a short time.
+    """
+    sd = _SD_OF_MEDIAN * np.array([np.median(np.abs(hit[0, :n])) for hit in hits])
+    return np.asarray(n * sd[:, None] ** 2 / np.maximum(np.abs(force) ** 2, np.finfo(float).tiny))
 
 
 def _channels(recording: Recording, hit: Array) -> str:
@@ -326,6 +360,24 @@ def _channels(recording: Recording, hit: Array) -> str:
     size = np.abs(hit[0])
     pulse = 1e3 * float(np.sum(size > _OF_PULSE * size.max())) / recording.rate
     return f"{said} over force (channel {recording.numbers[0]}, a pulse of {pulse:.2g} ms)"
+
+
+def without_silent(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[Notice, ...]]:
+    """Recordings of the same channels without the responses of which no line stands above the noise.
+
+    All responses stay where none of them has such a line.
+    """
+    silent = np.all([_are_silent(one.responses, one.rate) for one in recordings], axis=0)
+    if not silent.any():
+        return list(recordings), ()
+    first = recordings[0]
+    n_forces = len(first.numbers) - len(first.responses)
+    numbers = np.array(first.numbers[n_forces:])
+    notice = Notice("silent_channels", facts={"channels": tuple(numbers[silent].tolist())})
+    if silent.all():
+        return list(recordings), (notice,)
+    left = (*first.numbers[:n_forces], *numbers[~silent].tolist())
+    return [replace(one, responses=one.responses[~silent], numbers=left) for one in recordings], (notice,)
 
 
 def _ringing(recording: Recording, hits: Sequence[Array], end: float) -> tuple[Notice, ...]:
@@ -355,19 +407,23 @@ def _hums(recordings: Sequence[Recording]) -> tuple[Notice, ...]:
 
 
 def _too_short(cut: Sequence[_Hit], rate: float, least: float) -> tuple[Notice, ...]:
-    """What was left out, of fewer samples than ``least`` or late in a hit: file, start and length, s."""
+    """What was left out, of fewer samples than ``least``: file, start and length, s."""
     short = [
         (hit.file, hit.start, hit.channels.shape[1] / rate) for hit in cut if hit.channels.shape[1] < least
     ]
-    short += [(hit.file, *late) for hit in cut for late in hit.late]
     return (Notice("short_hits", facts={"short": tuple(sorted(short))}),) if short else ()
 
 
 def _hits(recording: Recording) -> list[_Hit]:
-    """The channels from each hit to the next; without force a double one from its second stroke on."""
+    """The channels from each hit to the next; without force a double one from its last stroke on.
+
+    What rings between two strokes is a free decay whatever rang before, so that strokes without a force are
+    hits of their own, unless the second follows soon and has the longer decay.
+    """
     force, responses = recording.force, recording.responses
-    trigger = np.abs(responses).max(axis=0) if force is None else np.abs(force - np.median(force))
     channels = responses if force is None else np.vstack((force, responses))
+    channels = channels - np.median(channels, axis=1, keepdims=True)
+    trigger = np.abs(channels if force is None else channels[:1]).max(axis=0)
     if not trigger.max() > 0.0:
         return []
     above = np.flatnonzero(trigger > _ONSET * trigger.max())
@@ -381,45 +437,73 @@ def _hits(recording: Recording) -> list[_Hit]:
     hits = []
     for start, end in zip(starts, ends, strict=True):
         hit = channels[:, start:end] - np.median(channels[:, start:end], axis=1, keepdims=True)
-        begin, late, at = (
-            start / recording.rate,
-            [],
-            _second_stroke(hit if force is None else hit[:1], recording.rate),
-        )
-        if force is None:
-            # what rings after the last of several strokes is a free decay, where enough of it is left
-            while at > (1.0 - _LONG_ENOUGH) * hit.shape[1]:
-                late.append((begin + at / recording.rate, (hit.shape[1] - at) / recording.rate))
-                hit = hit[:, :at]
-                at = _second_stroke(hit, recording.rate)
-        decay = hit[:, at:] if force is None else hit
-        hits.append(_Hit(decay, at > 0, recording.name, begin, tuple(late)))
+        strokes = _further_strokes(hit if force is None else hit[:1], recording.rate)
+        if force is not None:
+            hits.append(_Hit(hit, bool(strokes), recording.name, start / recording.rate, hit.shape[1]))
+            continue
+        parts = [(0, False)]  # where decays begin, and whether of a double hit
+        for stroke, following in pairwise((*strokes, hit.shape[1])):
+            is_double = stroke - parts[-1][0] < min(_APART * recording.rate, following - stroke)
+            parts[-1 if is_double else len(parts) :] = [(stroke, is_double)]
+        bounds = [*(begin for begin, _ in parts), hit.shape[1]]
+        lengths = np.sort(np.diff(bounds))
+        usual = int(lengths[np.searchsorted(np.cumsum(lengths), 0.5 * lengths.sum())])
+        hits += [
+            _Hit(hit[:, begin:until], is_double, recording.name, float(start + begin) / recording.rate, usual)
+            for (begin, is_double), until in zip(parts, bounds[1:], strict=True)
+        ]
     return hits
 
 
-def _second_stroke(hit: Array, rate: float) -> int:
-    """The sample of a second stroke within a hit (channels, n), 0 where there is none.
+def _further_strokes(hit: Array, rate: float) -> list[int]:
+    """The samples of further strokes within a hit (channels, n), ascending.
 
-    High frequencies, by differences, decay from a stroke on: a block of 2 ms far above the 10 ms before it.
+    A free decay follows from its samples before, a stroke does not: a block of 2 ms in which the errors of
+    linear prediction are far above those of the 10 ms before it.
     """
-    size = max(int(_BLOCK * rate), 2)
-    steps = np.abs(np.diff(hit, n=2, axis=1)).max(axis=0)
-    blocks = steps[: len(steps) // size * size].reshape(-1, size)
+    size = max(int(_BLOCK * rate), _LEAST_BLOCK)
+    errors = np.abs([_prediction_errors(channel) for channel in hit]).max(axis=0)
+    blocks = errors[: len(errors) // size * size].reshape(-1, size)
     rms = np.sqrt(np.mean(blocks**2, axis=1))
     first = int(np.argmax(rms > _OF_STROKE * rms.max(initial=0.0))) if len(rms) else 0
-    for k in range(len(rms) - 1, first + _BLOCKS_APART, -1):
-        before = rms[k - _BLOCKS_APART : k].max()
-        if rms[k] > _OF_STROKE * rms.max() and rms[k] > _JUMP * before:
-            return k * size
-    return 0
+    return [
+        k * size
+        for k in range(first + _BLOCKS_APART + 1, len(rms))
+        if rms[k] > max(_OF_STROKE * rms.max(), _JUMP * rms[k - _BLOCKS_APART : k].max())
+    ]
 
 
-def told_channels(channels: Array, force: int | None) -> tuple[int | None, tuple[int, ...]]:
+def _prediction_errors(signal: Array) -> Array:
+    """What the best linear prediction from the samples before leaves of a signal, (n,) each."""
+    n, order = len(signal), min(_PREDICTED_FROM, len(signal) // 4)
+    power = np.abs(np.fft.rfft(signal, 2 * n)) ** 2
+    correlation = np.fft.irfft(power)[: order + 1]
+    if not correlation[0] > 0.0:
+        return np.zeros(n)
+    correlation[0] *= 1.0 + _ROUNDING
+    weights = solve_toeplitz(correlation[:-1], correlation[1:])
+    return np.asarray(lfilter(np.append(1.0, -weights), np.ones(1), signal))
+
+
+def told_channels(channels: Array, rate: float, force: int | None) -> tuple[int | None, tuple[int, ...]]:
     """The channels of the force and of the responses: one channel that lasts a pulse is the force."""
     if force is None and len(channels) > 1:
-        power = (channels - np.median(channels, axis=1, keepdims=True).astype(float)) ** 2
-        samples = np.sum(power, axis=1) ** 2 / np.maximum(np.sum(power**2, axis=1), np.finfo(float).tiny)
-        shortest, second = np.argsort(samples)[:2]
-        if 0.0 < _SHORTER * samples[shortest] < samples[second]:  # 0 of a channel without a signal
+        lasts = np.where(_are_silent(channels, rate), np.inf, _lasting(channels))
+        shortest, second = np.argsort(lasts)[:2]
+        if _SHORTER * lasts[shortest] < lasts[second] < np.inf:
             force = int(shortest) + 1
     return force, tuple(k for k in range(1, len(channels) + 1) if k != force)
+
+
+def _lasting(channels: Array) -> Array:
+    """The samples in which channels have their power, (n_channels,), 0 for a constant."""
+    power = (channels - np.median(channels, axis=1, keepdims=True).astype(float)) ** 2
+    return np.asarray(np.sum(power, axis=1) ** 2 / np.maximum(np.sum(power**2, axis=1), np.finfo(float).tiny))
+
+
+def _are_silent(channels: Array, rate: float) -> Array:
+    """Whether channels are constant, or last and have no line above their noise, (n_channels,) bool."""
+    lasts = _lasting(channels)
+    power = np.abs(np.fft.rfft(channels, axis=1)[:, _DRIFT_LINES:]) ** 2
+    stands = np.any(power > _ABOVE_NOISE * np.median(power, axis=1, keepdims=True), axis=1)
+    return np.asarray((lasts == 0.0) | (~stands & (lasts > _LASTING * rate)))

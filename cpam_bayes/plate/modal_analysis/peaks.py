@@ -29,9 +29,11 @@ from cpam_bayes.plate.modal_analysis.fit import (
 )
 from cpam_bayes.plate.modal_analysis.hits import FrequencyResponses, ModalTestError, Window
 from cpam_bayes.plate.modal_analysis.read import of_folder, read_responses
-from cpam_bayes.plate.modes_table import is_texts, read_sheets
+from cpam_bayes.plate.modes_of_hits import heads_named, located
+from cpam_bayes.plate.modes_table import HEIGHT, Hit, TableProblem, is_texts, once, read_sheets
 from cpam_bayes.plate.schema import MAX_FREQUENCIES
 from cpam_bayes.plate.text import Data, Problem, numbers, read_named_file, table
+from cpam_bayes.running import single_blas_thread
 
 __all__ = [
     "LEAST_ORDER",
@@ -120,6 +122,7 @@ def hit_notices(modes: Sequence[Pole]) -> Iterator[Notice]:
         yield Notice("unlike_hit", facts={"hit": int(alike[k]) + 1, "shift": float(shift[k])})
 
 
+@single_blas_thread
 def modal_test(
     files: Sequence[str],
     *,
@@ -278,6 +281,24 @@ class _Candidates:
         }, []
 
 
+def _of_peaks(rows: Sequence[Hit], unit: str) -> Iterator[TableProblem]:
+    """What peaks lack, peaks that stand in two rows, and heights that are levels; unit : of the heights."""
+    if not any(row.hz for row in rows):
+        yield TableProblem(0, "", "no peak, accepted: hz and height in each row; sd if known")
+    if unit not in ("", "-", "1"):
+        yield TableProblem(0, "height", f"unknown unit {unit}, accepted: {HEIGHT}")
+    lines: dict[float, int] = {}
+    for row in rows:
+        if row.hz is None:
+            if row.height is not None:
+                yield TableProblem(row.line, "hz", "no frequency, accepted: one in each row", "hz")
+        elif row.height is None:
+            yield TableProblem(row.line, "height", f"no height, accepted: {HEIGHT}", "height")
+        elif lines.setdefault(row.hz, row.line) != row.line:
+            what = f"received {row.hz:g} Hz as in line {lines[row.hz]}, accepted: each peak once"
+            yield TableProblem(row.line, "hz", what, "twice")
+
+
 def _of_table(measurement: Data, directory: Path | None) -> tuple[dict[str, Any], list[Problem]]:
     key, name = ("measurement", "peaks"), measurement.get("peaks")
     if not isinstance(name, str) or not name:
@@ -285,15 +306,12 @@ def _of_table(measurement: Data, directory: Path | None) -> tuple[dict[str, Any]
     content, unread = read_named_file(key, name, directory, "a table of peaks")
     if content is None:
         return {}, unread
-    found, problems, _ = read_sheets(content)
-    if found is None:
-        return {}, [Problem(key, f"{Path(name).name} {problem}") for problem in problems]
-    rows = sorted((row for row in found.hits if row.hz and row.weight > 0.0), key=lambda row: row.hz or 0.0)
-    if not rows or any(row.height is None for row in rows):
-        lacking = next((row.line for row in rows if row.height is None), 0)
-        place = f"line {lacking}: no height" if rows else "no peak"
-        what = "accepted: hz and height, of the peak over what is there beside it, in each row; sd if known"
-        return {}, [Problem(key, f"{Path(name).name} {place}, {what}")]
+    found, problems, _ = read_sheets(content, heads_named(measurement))
+    rows = [] if found is None else [row for row in found.hits if row.weight > 0.0]
+    problems = problems if found is None else tuple(_of_peaks(rows, found.units.get("height", "")))
+    if problems:
+        return {}, [located(key, name, problem) for problem in once(problems)]
+    rows = sorted((row for row in rows if row.hz), key=lambda row: row.hz or 0.0)
     columns = (
         np.array([np.nan if value is None else value for value in values], dtype=float)
         for values in zip(*((row.hz, row.sd, row.damping, row.height) for row in rows), strict=True)

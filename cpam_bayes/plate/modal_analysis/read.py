@@ -5,7 +5,9 @@ Universal files with datasets 58, tables of responses, and .wav files.
 
 from __future__ import annotations
 
+import hashlib
 import io
+import os
 import re
 import warnings
 from collections.abc import Sequence
@@ -29,7 +31,9 @@ from cpam_bayes.plate.modal_analysis.hits import (
     require_unclipped,
     responses_of_hits,
     told_channels,
+    without_silent,
 )
+from cpam_bayes.plate.modes_table import COLUMNS
 from cpam_bayes.plate.text import read_regular_file
 
 __all__ = ["of_folder", "read_responses"]
@@ -46,7 +50,21 @@ _ACCEPTED: Final = (
 )
 # Of a dataset 58: the type of a frequency response function.
 _FRF: Final = 4
-_HEAD = re.compile(r"^(hz|khz|frequency|freq|f|re|real|im|imag|imaginary|mag|magnitude|abs|phase)\b")
+_HEADS: Final = {
+    "f": ("khz", "hertz", *COLUMNS["hz"]),
+    "re": ("re", "real", "realteil", "partie réelle", "parte real", "parte reale"),
+    "im": (
+        *("im", "imag", "imaginary", "imaginärteil", "imaginaerteil", "partie imaginaire"),
+        *("parte imaginaria", "parte imaginária", "parte immaginaria"),
+    ),
+    "mag": ("mag", "magnitude", "abs", "amplitude", "betrag", "module", "módulo", "modulo", "ampiezza"),
+    "phase": ("phase", "phasenwinkel", "fase"),
+}
+_KIND_OF: Final = {head: kind for kind, heads in _HEADS.items() for head in heads}
+_HEAD = re.compile(rf"({'|'.join(map(re.escape, sorted(_KIND_OF, key=len, reverse=True)))})(?!\w)")
+_DEGREES, _RADIANS = re.compile("deg|grad|[°º]"), re.compile("(?<!g)rad")
+# Levels in dB differ by less than this factor, sizes beside modes by more.
+_LEVELS: Final = 20.0
 _EVEN: Final = 1e-3
 # The largest value of a response or a record: what is beyond leaves the range of squares and their sums.
 _LEAST_SIZE, _MOST_SIZE = 1e-60, 1e60
@@ -69,7 +87,7 @@ def read_responses(
 
     Raises ``ModalTestError`` for what cannot be read, with the file.
     """
-    files = [path for name in files for path in of_folder(name)]
+    files, repeated = _each_once([path for name in files for path in of_folder(name)])
     endings = {Path(name).suffix.casefold() for name in files}
     if endings <= set(_WAVES):
         recordings, notices = _recordings(files, force, response)
@@ -77,8 +95,9 @@ def read_responses(
             raise ModalTestError("files of several sampling rates, accepted: one")
         if len({(one.force is None, len(one.responses)) for one in recordings}) > 1:
             raise ModalTestError("files of different channels, accepted: the same in all; say --response")
+        recordings, silent = without_silent(recordings)
         found = responses_of_hits(recordings, window or "none", high)
-        return replace(found, notices=(*notices, *found.notices))
+        return replace(found, notices=(*repeated, *notices, *silent, *found.notices))
     if force is not None or response or window is not None:
         raise ModalTestError("--force, --response and --window: accepted: with .wav files only")
     of_files = [_universal(n) if Path(n).suffix.casefold() in _UNIVERSAL else _table(n) for n in files]
@@ -87,7 +106,21 @@ def read_responses(
         raise ModalTestError("files with different lines of frequency, accepted: the same in all")
     origins = list(dict.fromkeys(one.origin for one in of_files))
     frf = np.vstack([one.frf for one in of_files])
-    return FrequencyResponses(first.frequencies, frf, 0.0, "; ".join(origins))
+    return FrequencyResponses(first.frequencies, frf, 0.0, "; ".join(origins), repeated)
+
+
+def _each_once(files: Sequence[str]) -> tuple[list[str], tuple[Notice, ...]]:
+    """Files of which none has the content of another one, and the names of those that were left out."""
+    of_content: dict[bytes, str] = {}
+    repeated = []
+    for name in files:
+        digest = hashlib.sha256(_content(name)).digest()
+        if digest in of_content:
+            repeated.append(Path(name).name)
+        of_content.setdefault(digest, name)
+    return list(of_content.values()), (
+        (Notice("repeated_files", facts={"files": tuple(repeated)}),) if repeated else ()
+    )
 
 
 def of_folder(name: str) -> list[str]:
@@ -117,13 +150,13 @@ def _recordings(
 
 
 def _content(name: str) -> bytes:
+    if not os.path.exists(name):
+        raise ModalTestError(f"{name}: no such file or folder, accepted: {_ACCEPTED}")
     if Path(name).suffix.casefold() not in (*_UNIVERSAL, *_TABLES, *_WAVES):
         raise ModalTestError(f"{name}: unknown ending, accepted: {_ACCEPTED}")
     try:
         return read_regular_file(name, name, _ACCEPTED, _MOST_BYTES)
-    except FileNotFoundError:
-        raise ModalTestError(f"{name}: no such file, accepted: {_ACCEPTED}") from None
-    except PlateFileError as error:
+    except (FileNotFoundError, PlateFileError) as error:
         raise ModalTestError(str(error)) from None
 
 
@@ -180,7 +213,7 @@ def _table(name: str) -> FrequencyResponses:
             _require_units(name, unit, angle, first, second)
             with np.errstate(over="ignore", invalid="ignore"):  # refused below
                 size = 10.0 ** (first / 20.0) if "db" in unit else first
-                turn = second if "rad" in angle else np.radians(second)
+                turn = second if _RADIANS.search(angle) else np.radians(second)
                 first, second = size * np.cos(turn), size * np.sin(turn)
         response = first.astype(complex)
         response.imag = second
@@ -197,29 +230,25 @@ def _require_units(name: str, unit: str, angle: str, magnitude: Array, phase: Ar
             "in dB the head says [dB]"
         )
     most = np.nanmax(np.abs(phase), initial=0.0)
-    if "deg" not in angle and "rad" not in angle and most <= 2.0 * np.pi:
+    if not _DEGREES.search(angle) and not _RADIANS.search(angle) and most <= 2.0 * np.pi:
         raise ModalTestError(
             f"{name}: phases up to {most:.3g} of no unit, accepted: phase [rad], or phase [deg]"
+        )
+    least, largest = np.nanmin(magnitude, initial=np.inf), np.nanmax(magnitude, initial=0.0)
+    if not set(unit) & set("[(/") and "db" not in unit and largest < _LEVELS * least:
+        raise ModalTestError(
+            f"{name}: magnitudes from {least:g} to {largest:g} of no unit, as levels in dB are, accepted: "
+            "magnitude [dB], or a unit such as magnitude [m/s2/N]"
         )
 
 
 def _columns(heads: Sequence[str]) -> list[tuple[str, str, int]]:
     """Kind, whole head and place of the columns that are read."""
-    short = {
-        "hz": "f",
-        "khz": "f",
-        "frequency": "f",
-        "freq": "f",
-        "real": "re",
-        "imag": "im",
-        "imaginary": "im",
-    }
-    short |= {"magnitude": "mag", "abs": "mag"}
     found = []
     for i, head in enumerate(heads):
         match = _HEAD.match(re.sub(r"[_\d]", " ", head.casefold()).strip())
         if match:
-            found.append((short.get(match[1], match[1]), head.casefold(), i))
+            found.append((_KIND_OF[match[1]], head.casefold(), i))
     return found
 
 
@@ -260,7 +289,7 @@ def _recording(name: str, force: int | None, response: Sequence[int]) -> Recordi
     if not channels.size or not rate > 0:
         raise ModalTestError(f"{name}: {channels.size} samples, {rate} a second, accepted: above 0")
     if not response:
-        force, response = told_channels(channels, force)
+        force, response = told_channels(channels, float(rate), force)
     wanted = (*(() if force is None else (force,)), *response)
     for channel in wanted:
         if not 1 <= channel <= len(channels):

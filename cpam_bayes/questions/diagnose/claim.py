@@ -203,10 +203,11 @@ def _fit_sentence(d: Diagnosis) -> str:
         left = f"; {significant(100.0 * size, 2)} % remains unexplained" if probability >= 0.5 else ""
         return f"{fit}{left}."
     noise = inferred_noise(d.weighed.plain)
-    levels = [level for level, _ in stated_levels(d)]
+    noisiest = max((case.measurement for case in d.cases), key=lambda m: m.relative_noise or 0.0)
     return fit_sentence(
         d.baseline.rms,
-        stated=max(levels, default=None),
+        stated=noisiest.relative_noise,
+        measurement=noisiest,
         inferred=None if noise is None else noise[0],
         explained=d.plain_explained,
     )
@@ -217,13 +218,8 @@ def stated_levels(d: Diagnosis) -> list[tuple[float, str]]:
     found = []
     for case in d.cases:
         measurement, of = case.measurement, f" of {case.name}" if len(d.cases) > 1 else ""
-        if measurement.frequency_sd is not None:
-            level = float(np.mean(measurement.frequency_sd / measurement.frequencies))
-        elif measurement.relative_std is not None:
-            level = measurement.relative_std
-        else:
-            continue
-        found.append((level, f"{stated_noise(measurement)}{of}"))
+        if measurement.relative_noise is not None:
+            found.append((measurement.relative_noise, f"{stated_noise(measurement)}{of}"))
     return found
 
 
@@ -267,12 +263,15 @@ def _left_out(d: Diagnosis) -> tuple[str, ...]:
     """The frequencies that the pairing of an incomplete list gives no mode."""
     if d.claim.kind != NONE:
         return ()
+    what = (
+        "Peaks" if any(case.measurement.mode_probability is not None for case in d.cases) else "Frequencies"
+    )
     plates = []
     for case in d.cases:
         left = [f"{f:g} Hz" for f in left_aside(case)]
         if left:
             plates.append(listed(left, "and") + (f" of {case.name}" if len(d.cases) > 1 else ""))
-    return (f"Left out as no mode of the plate: {listed(plates, 'and')}.",) if plates else ()
+    return (f"{what} without a mode: {listed(plates, 'and')}.",) if plates else ()
 
 
 def _contained(d: Diagnosis, plates: Sequence[Specimen]) -> tuple[str, ...]:

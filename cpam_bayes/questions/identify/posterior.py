@@ -121,7 +121,11 @@ def _present(result: SampledResult) -> Report:
             tables=(constants_table(constants),),
             lines=(
                 fit_sentence(
-                    rms, stated=_stated(result), inferred=_inferred(result), explained=result.explained
+                    rms,
+                    stated=_stated(result),
+                    measurement=specimen.measurement,
+                    inferred=_inferred(result),
+                    explained=result.explained,
                 )
                 if residuals.size
                 else "None of the frequencies belongs to a mode of the plate model.",
@@ -185,12 +189,7 @@ def _present(result: SampledResult) -> Report:
 
 def _stated(result: SampledResult) -> float | None:
     """The relative noise of the plate file, None where it is inferred."""
-    measurement = result.posterior.measurement
-    if result.noise is not None:
-        return None
-    if measurement.frequency_sd is not None:
-        return float(np.mean(measurement.frequency_sd / measurement.frequencies))
-    return measurement.relative_std
+    return None if result.noise is not None else result.posterior.measurement.relative_noise
 
 
 def _inferred(result: SampledResult) -> float | None:
@@ -203,12 +202,17 @@ def _inferred(result: SampledResult) -> float | None:
 
 
 def _gaps(result: SampledResult) -> tuple[str, ...]:
-    """Modes that the list lacks, and frequencies that belong to no mode, in one line."""
+    """Modes without a frequency and frequencies without a mode, in one line."""
     missed = [f"{m.label or m.kind} near {significant(m.predicted or 0.0, 4)} Hz" for m in result.missed]
     alone = [f"{row.measured:.6g} Hz" for row in result.frequencies if row.predicted is None]
-    said = [f"Missing in the list: {listed(missed, 'and')}."] if missed else []
-    said += [f"No mode of the plate: {listed(alone, 'and')}."] if alone else []
+    one, several = _MEASURED[result.pairing_probability is not None]
+    said = [f"Modes without a {one}: {listed(missed, 'and')}."] if missed else []
+    said += [f"{several.capitalize()} without a mode: {listed(alone, 'and')}."] if alone else []
     return (" ".join(said),) if said else ()
+
+
+# What was measured: frequencies of a list, or candidate peaks.
+_MEASURED: Final = (("frequency", "frequencies"), ("peak", "peaks"))
 
 
 def _steps(result: SampledResult, use: Sequence[str]) -> tuple[str, ...]:
@@ -267,7 +271,7 @@ def _modes(result: SampledResult) -> Rows:
         Column("leverage", None, lambda m: m.left_out and m.left_out.leverage, lambda v: fixed(v, 2), True),
         Column("left out %", None, percent("residual"), lambda v: signed(v, 2), True),
         Column("sd %", None, percent("sd"), lambda v: fixed(v, 2), True),
-        Column("", None, _place),
+        Column("", None, partial(_place, result.pairing_probability is not None)),
     )
     return Rows("frequencies", columns, tuple(shown), _is_far)
 
@@ -280,9 +284,9 @@ def _is_far(m: _Mode) -> bool:
     return m.left_out is not None and abs(m.left_out.standardised) > _MAX_DISTANCE_SD
 
 
-def _place(m: _Mode) -> str | None:
+def _place(of_peaks: bool, m: _Mode) -> str | None:
     if m.row.measured is None:
-        return "missing in the list"
+        return f"no {_MEASURED[of_peaks][0]}"
     if m.row.predicted is None:
         return "no mode"
     return "the others contradict it" if _is_far(m) else None

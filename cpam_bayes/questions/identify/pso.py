@@ -383,6 +383,7 @@ def _present(result: PointResult) -> Report:
                 fit_sentence(
                     estimate.rms,
                     stated=None if inferred else estimate.noise,
+                    measurement=measurement,
                     inferred=estimate.noise if inferred else None,
                     explained=estimate.misfit == 1.0,
                     freedom=measurement.size - len(constants),
