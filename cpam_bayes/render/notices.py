@@ -219,6 +219,10 @@ def _frequencies_of(facts: Facts) -> str:
     return f"the frequencies of {facts['plate']}" if "plate" in facts else "these frequencies"
 
 
+def _of_plate(facts: Facts) -> str:
+    return f" of {facts['plate']}" if "plate" in facts else ""
+
+
 def _large_misfit(facts: Facts) -> str:
     return (
         f"The plate model does not describe {_frequencies_of(facts)}: its best fit is "
@@ -270,8 +274,9 @@ def _clamped(edges: str) -> str:
 
 def _high_noise(facts: Facts) -> str:
     return (
-        f"The noise inferred from the misfit is {_percent(facts['noise'])} of a frequency, high for a tap "
-        "test: the plate model may lack something, and then the intervals can miss the true constants."
+        f"The noise inferred from the misfit{_of_plate(facts)} is {_percent(facts['noise'])} of a frequency, "
+        "high for a tap test: the plate model may lack something, and then the intervals can miss the true "
+        "constants."
     )
 
 

@@ -79,6 +79,16 @@ def test_the_slip_of_one_list_is_named_with_its_corrected_file(tmp_path: Path) -
     assert [len(p["explained_by"]) for p in joint.to_dict()["plates"]] == [0, 1]
 
 
+def test_a_noise_that_is_high_for_a_tap_test_is_named_with_its_list() -> None:
+    scattered = plate("scattered", "Q")
+    f = scattered["measurement"]["frequencies_hz"]
+    scattered["measurement"]["frequencies_hz"] = [x * (1.02, 0.98)[i % 2] for i, x in enumerate(f)]
+    del scattered["measurement"]["relative_std"]
+    joint = cb.identify(plate("free", "P"), scattered, seed=0)
+    (said,) = [notice for notice in joint.notices if notice.code == "high_noise"]
+    assert said.facts["plate"] == "scattered"
+
+
 @pytest.mark.slow
 def test_a_list_of_unknown_noise_that_no_plate_of_its_file_has_is_named() -> None:
     wrong = plate("clamped", "P", "CFFF")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Final
@@ -19,6 +19,7 @@ from cpam_bayes.forward_model.preconditions import (
     LARGE_ERROR,
     error_notices,
     explained_failures,
+    high_noise_notices,
     misfit_slips,
     require_number,
     require_paired_list,
@@ -167,17 +168,24 @@ def identify_jointly(
 
 def _excess(fit: ListFit) -> tuple[Notice, ...]:
     """A misfit of one list that is more than noise."""
-    plate = {"plate": fit.specimen.name}
     if fit.noise_is_inferred:
-        return tuple(replace(notice, facts={**notice.facts, **plate}) for notice in misfit_slips(fit.noise))
-    return (Notice("list_over_noise", "slip", {**plate, "times": fit.misfit}),) if fit.misfit > 1.0 else ()
+        return _of_list(fit, misfit_slips(fit.noise))
+    return _of_list(
+        fit, [Notice("list_over_noise", "slip", {"times": fit.misfit})] if fit.misfit > 1.0 else []
+    )
+
+
+def _of_list(fit: ListFit, notices: Iterable[Notice]) -> tuple[Notice, ...]:
+    return tuple(replace(n, facts={**n.facts, "plate": fit.specimen.name}) for n in notices)
 
 
 def _notices(estimate: JointEstimate) -> tuple[Notice, ...]:
-    """Reasons not to trust the constants: solvers, soft cores."""
+    """Reasons not to trust the constants: noise that no tap test has, solvers, soft cores."""
     found: list[Notice] = []
     constants = {c.name: c.value for c in estimate.constants}
     for fit in estimate.fits:
+        if fit.noise_is_inferred and not misfit_slips(fit.noise):
+            found += _of_list(fit, high_noise_notices(fit.noise))
         found += error_notices(fit.error, LARGE_ERROR)
         found += sandwich_notices(fit.specimen, fit.predicted, constants)
     return tuple(found)
