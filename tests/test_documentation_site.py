@@ -52,11 +52,6 @@ def test_the_navigation_names_every_page_once() -> None:
     assert sorted(listed_pages(nav)) == sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
 
 
-def test_the_documentation_has_at_most_30_000_words() -> None:
-    pages = [*DOCS.glob("*.md"), PROJECT / "README.md"]
-    assert sum(len(page.read_text("utf-8").split()) for page in pages) <= 30_000
-
-
 def test_a_page_of_the_site_names_results_of_another_state_of_the_code(site: Path) -> None:
     for page in DOCS.glob("*.md"):
         studies = outdated(page.read_text("utf-8"))

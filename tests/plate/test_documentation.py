@@ -151,7 +151,7 @@ def with_example(heading: str, key: str, value: Any) -> dict[str, Any]:
         del file["plate"]["density_kg_m3"]
         file["plate"]["mass_g"] = 340.7
     if heading == "[measurement.columns]":
-        file["measurement"] = {"table": "named.csv"}
+        file["measurement"] = {"peaks": "levels.csv"} if key == "height" else {"table": "named.csv"}
     if key in ("table", "shapes", "recordings", "peaks", "range_hz"):
         del file["measurement"]["frequencies_hz"]
     if key == "range_hz":
@@ -189,6 +189,7 @@ def test_the_example_of_a_key_is_accepted(
     (tmp_path / "modes.csv").write_text("mode,hz\n1,80.2\n2,146.3\n", encoding="utf-8")
     named = "Nr;Form;Peak A [Hz];Tap;Streuung;Verlust;Wert\n1;a;80.2;1;0.1;0.01;1\n2;b;146.3;1;0.1;0.01;1\n"
     (tmp_path / "named.csv").write_text(named, encoding="utf-8")
+    (tmp_path / "levels.csv").write_text("hz;Pegel\n80.2;5\n146.3;2\n", encoding="utf-8")
     (tmp_path / "peaks.csv").write_text("hz,height\n80.2,5\n146.3,2\n", encoding="utf-8")
     if key in ("recordings", "range_hz"):
         (tmp_path / "hits").mkdir()
