@@ -204,19 +204,28 @@ def test_angles_are_compared_on_the_nearer_mirror_image_and_as_fibres_without_a_
     assert (other.found, other.verdict[0]) == (0, NOT_REPRODUCIBLE)
 
 
-def test_the_search_of_angles_with_the_constants_is_the_repetition_that_is_compared() -> None:
-    names = ("E1_GPa", "E2_GPa", "nu12", "G12_GPa")
+CONSTANTS = ("E1_GPa", "E2_GPa", "nu12", "G12_GPa")
+
+
+def noise_of_all_constants() -> dict[str, Any]:
+    """Repetitions of Table 11 in which all constants are as E1."""
     known = noise_results(127.6, 1.0)
     cell = known["levels"][0]["constants"]["E1_GPa"]
     for level in known["levels"]:
-        level["constants"] = dict.fromkeys(names, cell)
-    known["without_noise"] = dict.fromkeys(names, 126.0)
+        level["constants"] = dict.fromkeys(CONSTANTS, cell)
+    known["without_noise"] = dict.fromkeys(CONSTANTS, 126.0)
+    return known
+
+
+def test_the_search_of_angles_with_the_constants_is_the_repetition_that_is_compared() -> None:
+    known = noise_of_all_constants()
+    cell = known["levels"][0]["constants"]["E1_GPa"]
     together = {
         **known,
         "levels": [
             {
                 "angles_deg": [[5, 90, 0, 90]] * 10,
-                "constants": {n: {**cell, "repetition_mean": 100.0} for n in names},
+                "constants": {n: {**cell, "repetition_mean": 100.0} for n in CONSTANTS},
             }
         ]
         * 3,
@@ -234,12 +243,7 @@ def test_the_search_of_angles_with_the_constants_is_the_repetition_that_is_compa
 
 @pytest.mark.parametrize(("bits", "less"), [([1.5, 0.9, 0.4, 0.1], 3), ([0.1, 0.9, 0.4, 1.5], 0)])
 def test_what_one_list_tells_of_the_angles_stands_beside_the_inversions(bits: list[float], less: int) -> None:
-    names = ("E1_GPa", "E2_GPa", "nu12", "G12_GPa")
-    known = noise_results(127.6, 1.0)
-    cell = known["levels"][0]["constants"]["E1_GPa"]
-    for level in known["levels"]:
-        level["constants"] = dict.fromkeys(names, cell)
-    known["without_noise"] = dict.fromkeys(names, 126.0)
+    known = noise_of_all_constants()
     ends = [[5, 90, 0, 90]] * 9 + [[5, 90, 0, 85]]
     together = {**known, "levels": [{**level, "angles_deg": ends} for level in known["levels"]]}
     weighed = {
@@ -248,7 +252,7 @@ def test_what_one_list_tells_of_the_angles_stands_beside_the_inversions(bits: li
         "true_probability": 0.2,
         "printed_probability": 0.01,
         "credible_95_count": 30,
-        "constants": {key: {"mean": 127.0, "sd": 1.0, "q025": 125.0, "q975": 129.0} for key in names},
+        "constants": {key: {"mean": 127.0, "sd": 1.0, "q025": 125.0, "q975": 129.0} for key in CONSTANTS},
     }
     computed = {
         ("noise", "C1", BUILT_IN): known,
