@@ -64,9 +64,12 @@ def frequencies() -> list[float]:
 
 def typed(browser: Browser, values: dict[str, str]) -> None:
     for key, value in values.items():
-        at = f"document.querySelector('[data-key=\"{key}\"]')"
-        browser.value(f"{at}.value = {json.dumps(value)}")
-        browser.value(f'{at}.dispatchEvent(new Event("input", {{ bubbles: true }}))')
+        # in one step, as a key does it: a form that is drawn anew in between would lose the value
+        browser.value(
+            f"""(() => {{ const at = document.querySelector('[data-key="{key}"]');
+            at.value = {json.dumps(value)};
+            at.dispatchEvent(new Event("input", {{ bubbles: true }})); }})()"""
+        )
 
 
 def click(browser: Browser, what: str) -> None:
