@@ -13,8 +13,6 @@ from typing import Any, Literal, TypeAlias
 
 from cpam_bayes.priors import Prior
 
-__all__ = ["Constant", "FrequencyRow", "Notice", "Reliance", "Severity", "Verdict", "as_written", "each_once"]
-
 Severity: TypeAlias = Literal["slip", "warning", "remark"]
 """A slip most likely ruins the answer; a warning is a reason not to trust a number; a remark is neither."""
 

@@ -17,24 +17,6 @@ if TYPE_CHECKING:
     from cpam_bayes.plate import Specimen
     from cpam_bayes.result import Result
 
-__all__ = [
-    "DEFAULT_SEED",
-    "EXECUTOR",
-    "MAX_MODES",
-    "MODES",
-    "PLATE",
-    "PLATES",
-    "STATUS_TEXT",
-    "TIME_LIMIT",
-    "WORKERS",
-    "Command",
-    "Option",
-    "add_executor_options",
-    "option",
-    "positive",
-    "whole",
-]
-
 DEFAULT_SEED: Final = 0
 MAX_MODES: Final = 100
 MAX_WORKERS: Final = 1000

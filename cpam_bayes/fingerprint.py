@@ -13,8 +13,6 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
-__all__ = ["fingerprint", "fingerprint_of_script", "sources_of"]
-
 _PACKAGE: Final = Path(__file__).parent
 _DIGITS: Final = 12
 # Imports at any depth of a file; in parentheses they may stand in several lines.

@@ -6,18 +6,6 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 
-__all__ = [
-    "NOT_KNOWN",
-    "decimals_of",
-    "file_stem",
-    "fixed",
-    "listed",
-    "probable",
-    "signed",
-    "significant",
-    "with_spread",
-]
-
 NOT_KNOWN = "-"
 # Probabilities below this have digits that depend on the processor.
 LEAST_PROBABILITY = 1e-12

@@ -16,18 +16,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import betaln, ndtr, ndtri, stdtr, stdtrit
 
-__all__ = [
-    "LogUniform",
-    "Mixture",
-    "Prior",
-    "PriorNumbers",
-    "Priors",
-    "ScaledStudentT",
-    "TruncatedLogNormal",
-    "TruncatedNormal",
-    "Uniform",
-]
-
 Floats = NDArray[np.float64]
 
 

@@ -27,8 +27,6 @@ from cpam_bayes.running import current_limit
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["PlateResult", "PlatesResult", "Result", "document_of", "present", "within_time"]
-
 
 @singledispatch
 def present(result: Any) -> Report:

@@ -30,26 +30,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "ARRAYS",
-    "DAMAGED",
-    "DIRECTORY_VARIABLE",
-    "cache_directory",
-    "draft_directory",
-    "draft_file",
-    "name_unused_models",
-    "put_in_place",
-    "read_arrays",
-    "read_sealed",
-    "replaceable",
-    "seal_of",
-    "set_aside",
-    "sweep",
-    "write_arrays",
-    "write_sealed",
-    "write_whole",
-]
-
 _PREFIX: Final = ".cpam-bayes-"
 _OWNER: Final = re.compile(rf"{re.escape(_PREFIX)}(?P<machine>[0-9a-f]{{8}})-(?P<process>[0-9]{{1,10}})-")
 # Age at which a draft is swept whose owner is on another machine, or not known, s.

@@ -23,8 +23,6 @@ from cpam_bayes.mechanics.convergence import Tolerance, converge
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from cpam_bayes.plate import Specimen
 
-__all__ = ["carried", "groups_of", "size_powers", "with_shared_sizes"]
-
 Array = NDArray[Any]
 
 # Sizes that may differ within a group, relative: so far the powers hold to 1e-4 of a frequency.

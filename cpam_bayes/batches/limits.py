@@ -19,8 +19,6 @@ from scipy.special import ndtr, ndtri
 from cpam_bayes.plate import USER_UNITS, to_si, to_user, unit_of, user_name
 from cpam_bayes.plate.laminate import CONSTANTS
 
-__all__ = ["ControlChart", "Limit", "MarginalPosterior", "control_chart", "read_limit"]
-
 _FORM: Final = re.compile(r"\s*(\w+)\s*(>=|<=|>|<)\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([a-zA-Z]*)\s*")
 # Decimal commas, and signs as documents have them.
 _AS_TYPED: Final = str.maketrans(

@@ -28,19 +28,6 @@ from cpam_bayes.inference.posterior import plate_posterior
 from cpam_bayes.plate import Measurement, Specimen, to_user
 from cpam_bayes.storage import read_sealed, set_aside, write_sealed
 
-__all__ = [
-    "LocalLikelihood",
-    "PlateDiagnosis",
-    "PlateRow",
-    "RowConstant",
-    "computed_row",
-    "diagnosed",
-    "failed_row",
-    "read_row",
-    "row_key",
-    "write_row",
-]
-
 # Least relative error of the solver that a likelihood counts with.
 _SOLVER_FLOOR = 5e-5
 

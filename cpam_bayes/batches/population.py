@@ -22,15 +22,6 @@ from cpam_bayes.inference.ensemble import Diagnostics, EnsembleSettings, sample_
 from cpam_bayes.parameters import Parameter, ParameterSet, ScaledStudentT, Uniform
 from cpam_bayes.running import single_blas_thread
 
-__all__ = [
-    "LEAST_PLATES",
-    "BatchPosterior",
-    "Population",
-    "PopulationConstant",
-    "batch_posterior",
-    "population_of",
-]
-
 Array = NDArray[Any]
 
 LEAST_PLATES: Final = 3

@@ -15,8 +15,6 @@ from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.diagnosis.fit import Fit
 from cpam_bayes.mechanics.modes import Mode
 
-__all__ = ["FrequencyRow", "MissedMode", "PairedFit", "left_aside", "paired_fit", "plain_mode_shapes"]
-
 Array = NDArray[Any]
 
 

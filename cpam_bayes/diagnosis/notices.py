@@ -14,8 +14,6 @@ from cpam_bayes.forward_model.labels import shape_notices
 from cpam_bayes.forward_model.preconditions import count_notices
 from cpam_bayes.inference.assessment import cut_notices
 
-__all__ = ["diagnosis_notices"]
-
 # A predictive p-value this far out says that noise alone does not explain the residuals.
 _P_LOW = 0.02
 # Fraction of the cases in which the claimed cause must stay ahead without one frequency.

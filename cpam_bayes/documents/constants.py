@@ -42,8 +42,6 @@ from cpam_bayes.identification.search import Residual
 from cpam_bayes.inference.assessment import Diagnosis as ScalingDiagnosis
 from cpam_bayes.inference.swarm import Status
 
-__all__ = ["Convergence", "Identify", "Report", "Sequence"]
-
 NoiseSource: TypeAlias = Literal["residuals", "plate file"]
 Laminate: TypeAlias = Annotated[dict[str, Value], Field(description="D, N m; moduli in bending, GPa")]
 

@@ -29,8 +29,6 @@ from cpam_bayes.documents.parts import (
     WorstError,
 )
 
-__all__ = ["Diagnose"]
-
 
 class Plate(TypedDict):
     """One of the plates."""

@@ -34,8 +34,6 @@ from cpam_bayes.identification.added_mass import Finding
 from cpam_bayes.plate.laminate import MaterialSymmetry
 from cpam_bayes.plate.modal_analysis.fit import Taken
 
-__all__ = ["App", "Design", "Export", "Forward", "New", "Plates", "Poles", "Predict", "Prove"]
-
 
 class BuiltinPlate(TypedDict):
     """A built-in specimen."""

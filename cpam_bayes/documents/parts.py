@@ -16,52 +16,6 @@ from cpam_bayes.answer import Verdict
 from cpam_bayes.mechanics.modes import Kind
 from cpam_bayes.questions.identify.slips import SlipKind
 
-__all__ = [
-    "Answer",
-    "Bound",
-    "ByShape",
-    "Certificate",
-    "ComputedMode",
-    "Contraction",
-    "Estimate",
-    "FrequencyRow",
-    "Handling",
-    "Head",
-    "Hertz",
-    "InConstants",
-    "Interval",
-    "KHat",
-    "LogEvidence",
-    "Millimetres",
-    "MissedMode",
-    "Mode",
-    "ModelAnswer",
-    "Moments",
-    "Nats",
-    "Number",
-    "OfMaterial",
-    "Pair",
-    "PairedBy",
-    "Peak",
-    "Percent",
-    "Places",
-    "PlateAnswer",
-    "PlateHead",
-    "Probability",
-    "Seconds",
-    "SequenceFrequency",
-    "Share",
-    "Slip",
-    "Spread",
-    "StandardError",
-    "Texts",
-    "TimedAnswer",
-    "Value",
-    "ValueSpread",
-    "WithBounds",
-    "WorstError",
-]
-
 Number: TypeAlias = float | None
 """Null where it is not known or not finite."""
 Hertz: TypeAlias = Annotated[Number, Field(description="Hz")]

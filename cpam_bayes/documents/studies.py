@@ -39,8 +39,6 @@ from cpam_bayes.questions.batch.result import BatchVerdict
 from cpam_bayes.questions.identify.slips import SlipKind
 from cpam_bayes.questions.paper.rows import Verdict as PaperVerdict
 
-__all__ = ["Batch", "Calibrate", "Compare", "Paper", "Sensitivity"]
-
 
 class ConstantDifference(TypedDict):
     """A constant of the second plate against that of the first."""

@@ -34,16 +34,6 @@ from cpam_bayes.mechanics.ritz import evaluate_sector
 from cpam_bayes.plate.edges import FIELDS
 from cpam_bayes.running import single_blas_thread
 
-__all__ = [
-    "AddedMass",
-    "Finding",
-    "LoadedPlate",
-    "Repeatability",
-    "find_masses",
-    "loaded_plate",
-    "spread_of_shifts",
-]
-
 Array = NDArray[Any]
 
 CLAIMED: Final = 0.95

@@ -57,18 +57,6 @@ from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Specimen, angle_grid
 from cpam_bayes.running import single_blas_thread
 
-__all__ = [
-    "AngleSearchProblem",
-    "AngleSearchResult",
-    "best_constants",
-    "fuzzy_problem",
-    "run_swarm",
-    "run_swarms",
-    "search_angles",
-    "search_parameters",
-    "search_starts",
-]
-
 Array = NDArray[Any]
 
 # (m, n_constants), (m, k) degrees -> frequencies (m, n_modes), their derivatives (m, n_modes, n_constants).

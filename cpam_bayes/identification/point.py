@@ -50,17 +50,6 @@ from cpam_bayes.plate import Measurement, Specimen
 from cpam_bayes.plate.laminate import flexural_constants
 from cpam_bayes.running import single_blas_thread
 
-__all__ = [
-    "BY_DATA",
-    "BY_PRIOR",
-    "LEAST_WIDENING",
-    "point_notices",
-    "reliances",
-    "sampled_notices",
-    "verdict_of",
-]
-
-
 BY_DATA: Final = 0.9
 """Posterior contraction from which the data determine a constant: its sd is a third of the prior's."""
 BY_PRIOR: Final = 0.5

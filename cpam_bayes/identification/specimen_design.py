@@ -30,23 +30,6 @@ from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.edges import ALL_FREE, CANTILEVER, is_stated
 from cpam_bayes.plate.layup import Layup, parse_layup
 
-__all__ = [
-    "USUAL_STD",
-    "Candidate",
-    "Expected",
-    "Geometry",
-    "Response",
-    "Test",
-    "expected_information",
-    "geometries",
-    "layups_of",
-    "measured_like",
-    "needed_std",
-    "prior_sd",
-    "response_of",
-    "specimen_of",
-]
-
 Array = NDArray[Any]
 
 USUAL_STD: Final = 0.005

@@ -23,8 +23,6 @@ from cpam_bayes.plate.records import USER_UNITS, angle_grid, to_si, user_name
 from cpam_bayes.plate.schema import MAX_FREQUENCIES, NAME, PlateModel, is_hybrid
 from cpam_bayes.plate.text import MAX_SHOWN, Data, Problem, Problems, number, numbers, real, received, table
 
-__all__ = ["CONSTANT_KEYS", "ply_kinds", "relation_problems", "symmetry_of"]
-
 CONSTANT_KEYS: Final = ("E1_GPa", "E2_GPa", "nu12", "G12_GPa", "G13_GPa", "G23_GPa")
 _REQUIRED: Final = CONSTANT_KEYS[:4]
 _ISOTROPIC: Final = ("E1_GPa", "nu12")

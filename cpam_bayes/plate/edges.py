@@ -11,23 +11,6 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
-__all__ = [
-    "ALL_FREE",
-    "CANTILEVER",
-    "CONDITIONS",
-    "EDGES",
-    "EDGE_KEY",
-    "FIELDS",
-    "PLACES",
-    "STATED",
-    "EdgeCondition",
-    "Field",
-    "conditions",
-    "is_stated",
-    "letters_of",
-    "yielding",
-]
-
 Field = Literal["u", "v", "w", "phi_x", "phi_y"]
 FIELDS: Final[tuple[Field, ...]] = ("u", "v", "w", "phi_x", "phi_y")
 # The edges in the order of their letters: by name in meshes and forms, and by place.

@@ -27,23 +27,6 @@ from cpam_bayes.plate.records import MeasuredShapes
 from cpam_bayes.plate.schema import MAX_FREQUENCIES
 from cpam_bayes.plate.text import Data, Problem, as_utf_8, number, read_named_file, table
 
-__all__ = [
-    "MAX_UNIVERSAL_BYTES",
-    "Delimited",
-    "Row",
-    "SheetError",
-    "UniversalFileError",
-    "decode",
-    "delimited",
-    "pyuff",
-    "read_delimited",
-    "read_sets",
-    "read_shapes",
-    "shapes_of",
-    "sheets",
-]
-
-
 _SEPARATORS: Final = ("\t", ";", ",", "|", "  ", " ")
 # Two spaces or more: the heads of columns then may have one.
 _WIDE, _SPACES = re.compile(" {2,}"), ("  ", " ")

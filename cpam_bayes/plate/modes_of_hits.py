@@ -25,8 +25,6 @@ from cpam_bayes.plate.modes_table import (
 from cpam_bayes.plate.schema import MAX_FREQUENCIES
 from cpam_bayes.plate.text import Data, Problem, number, read_named_file, table
 
-__all__ = ["TableModes", "heads_named", "located", "modes_of", "small_sample_factor", "table_of"]
-
 Array = NDArray[Any]
 
 # Probability below the upper end of an interval of 95 %.

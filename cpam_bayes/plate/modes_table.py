@@ -21,19 +21,6 @@ import numpy as np
 from cpam_bayes.plate.instruments import Delimited, Row, SheetError, delimited, sheets
 from cpam_bayes.plate.text import and_more, received
 
-__all__ = [
-    "COLUMNS",
-    "HEIGHT",
-    "Hit",
-    "ModesTable",
-    "TableProblem",
-    "is_texts",
-    "once",
-    "read_modes_table",
-    "read_sheets",
-]
-
-
 _HEADS: Final = """
 mode: mode, mode number, mode no, no, nr, #, modus, eigenmode, eigenform, moden, ordnung, ordre, modo, n°, mod
 mode: modennummer, modusnummer, moden-nr, mode nr, mode n°, n° mode, número de modo, numero modo, nummer

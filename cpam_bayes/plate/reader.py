@@ -64,16 +64,6 @@ from cpam_bayes.plate.text import (
 if TYPE_CHECKING:
     from cpam_bayes.plate.stored_posterior import FormerPriors
 
-__all__ = [
-    "PlateLike",
-    "builtin",
-    "builtin_names",
-    "builtin_plates",
-    "parse_specimen",
-    "read_plate",
-    "read_specimen",
-]
-
 # More than the same plate differs by when it is hung and tapped again, as a fraction.
 _MUCH_SCATTER: Final = 0.05
 # The angles of an isotropic plate's plies change nothing.

@@ -19,23 +19,6 @@ from cpam_bayes.plate.edges import STATED
 from cpam_bayes.plate.laminate import MaterialSymmetry
 from cpam_bayes.plate.text import MAX_SHOWN, KeyPath, Problem, received
 
-__all__ = [
-    "MAX_FREQUENCIES",
-    "NAME",
-    "ConstantsModel",
-    "HybridUnknownsModel",
-    "MaterialModel",
-    "MeasurementModel",
-    "NormalModel",
-    "PlateFile",
-    "PlateModel",
-    "SensorModel",
-    "UnknownsModel",
-    "is_hybrid",
-    "respelt",
-    "validated",
-]
-
 # More frequencies than modes are computed, and more masses than a plate is hung with, are a slip.
 MAX_FREQUENCIES: Final = 100
 _MAX_SENSORS: Final = 100
@@ -90,7 +73,7 @@ class _Table(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
 
-class PlateSpreads(_Table):
+class _PlateSpreads(_Table):
     length_mm: SizeSpread | None = None
     width_mm: SizeSpread | None = None
     thickness_mm: SizeSpread | None = None
@@ -120,10 +103,10 @@ class PlateModel(_Table):
     mesh: (
         Annotated[str, Field(min_length=1, description="the path of a mesh file, from this file")] | None
     ) = None
-    sd: Annotated[PlateSpreads, Field(description="a table [plate.sd]")] | None = None
+    sd: Annotated[_PlateSpreads, Field(description="a table [plate.sd]")] | None = None
 
 
-class MaterialSpreads(_Table):
+class _MaterialSpreads(_Table):
     E1_GPa: GPa | None = None
     E2_GPa: GPa | None = None
     nu12: Spread | None = None
@@ -154,7 +137,7 @@ class MaterialModel(_Table):
     posterior: (
         Annotated[str, Field(min_length=1, description="the path of a posterior.nc, from this file")] | None
     ) = None
-    sd: Annotated[MaterialSpreads, Field(description="a table [material.sd]")] | None = None
+    sd: Annotated[_MaterialSpreads, Field(description="a table [material.sd]")] | None = None
 
 
 Step = Annotated[
@@ -255,7 +238,7 @@ Unknowns = Annotated[
 ]
 
 
-class EnvironmentModel(_Table):
+class _EnvironmentModel(_Table):
     air_density_kg_m3: Annotated[float, _not_negative("a number, 0 or above, in kg/m3")] | None = None
 
 
@@ -397,7 +380,9 @@ class PlateFile(_Table):
         list[Annotated[PlyModel, Field(description="a table [[ply]]")]],
         Field(max_length=_MAX_PLY_KINDS, description=f"at most {_MAX_PLY_KINDS} tables [[ply]]"),
     ] = []
-    environment: Annotated[EnvironmentModel, Field(description="a table [environment]")] = EnvironmentModel()
+    environment: Annotated[_EnvironmentModel, Field(description="a table [environment]")] = (
+        _EnvironmentModel()
+    )
     sensor: Annotated[
         list[Annotated[SensorModel, Field(description="a table [[sensor]]")]],
         Field(max_length=_MAX_SENSORS, description=f"at most {_MAX_SENSORS} tables [[sensor]]"),

@@ -35,8 +35,6 @@ from cpam_bayes.plate.schema import is_hybrid
 from cpam_bayes.plate.text import Data, Problem, numbers, table
 from cpam_bayes.storage import opened_draws
 
-__all__ = ["FormerPriors", "StoredPosterior", "read_posterior", "stored_posterior", "with_former_posteriors"]
-
 Array = NDArray[Any]
 
 

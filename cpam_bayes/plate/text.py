@@ -26,20 +26,6 @@ from typing import Any, Final
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate.edges import letters_of
 
-__all__ = [
-    "MAX_BYTES",
-    "UNITS",
-    "decode",
-    "line_numbers",
-    "number_of",
-    "numbers_of",
-    "parse",
-    "read_named_file",
-    "read_regular_file",
-    "understood",
-]
-
-
 KeyPath = tuple[str | int, ...]
 Data = Mapping[str, Any]
 

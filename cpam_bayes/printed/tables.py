@@ -14,32 +14,6 @@ from importlib.resources import files
 from itertools import product
 from typing import Any, Final, Literal, get_args
 
-__all__ = [
-    "AGREEMENTS",
-    "NUMBERS",
-    "PAPER",
-    "TABLES",
-    "WITHOUT_NOISE",
-    "Contradiction",
-    "IdentifiedLayup",
-    "Misprint",
-    "PercentageCheck",
-    "PerturbationTable",
-    "PrintedConstant",
-    "PrintedRow",
-    "PrintedTable",
-    "PrintedValue",
-    "Role",
-    "content",
-    "contradictions",
-    "identified_layups",
-    "last_digit",
-    "percentage_checks",
-    "perturbation_table",
-    "possible_percent",
-    "printed_table",
-]
-
 Role = Literal["input", "measured", "computed", "identified"]
 
 

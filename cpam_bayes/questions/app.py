@@ -54,8 +54,6 @@ from cpam_bayes.render.spectrum import line_sizes
 from cpam_bayes.result import Result, present
 from cpam_bayes.workbench.visit import Shown, Tell
 
-__all__ = ["COMMAND", "AppResult", "app"]
-
 _PORT: Final = 8377
 _REACH: Final = 1.959963984540054
 # Start points of the optimisation where there is no former optimum.

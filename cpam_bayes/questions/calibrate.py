@@ -56,8 +56,6 @@ from cpam_bayes.running import SILENT, Watch
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["CalibrationResult", "calibrate"]
-
 _MOST_LISTS: Final = 10_000
 # Bins of the histogram of ranks; p-values below this say that ranks are not uniform.
 _BINS, _DOUBTFUL = 20, 0.01

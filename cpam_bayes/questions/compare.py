@@ -21,8 +21,6 @@ from cpam_bayes.render.report import Column, Report, Rows, Summary
 from cpam_bayes.result import Result, present, within_time
 from cpam_bayes.running import SILENT, Watch
 
-__all__ = ["CompareResult", "Difference", "compare"]
-
 _DRAWS: Final = 40_000
 _LARGER: Final = "probability_larger"
 # Probability that one is larger from which two constants are said to differ, as of a 95 % interval.

@@ -66,8 +66,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["COMMAND", "DesignResult", "design"]
-
 Array = NDArray[Any]
 Value = Callable[[Candidate], float]
 

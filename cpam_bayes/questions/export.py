@@ -39,8 +39,6 @@ from cpam_bayes.result import PlateResult, present
 from cpam_bayes.running import single_blas_thread
 from cpam_bayes.storage import replaceable, write_whole
 
-__all__ = ["ExportResult", "UniversalResult", "UniversalShapes", "export"]
-
 Array = NDArray[Any]
 
 # Nodes along the longer side, and at least along the shorter one.

@@ -31,8 +31,6 @@ from cpam_bayes.render.report import Report, Summary, remarks
 from cpam_bayes.result import Result, present
 from cpam_bayes.storage import replaceable, write_whole
 
-__all__ = ["MATERIALS", "QUESTIONS", "NewPlateResult", "Question", "TypicalMaterial", "new"]
-
 
 @dataclass(frozen=True, slots=True)
 class TypicalMaterial:

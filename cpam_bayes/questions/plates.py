@@ -13,8 +13,6 @@ from cpam_bayes.render.plate import THIN, layup_text, size_text, thickness_class
 from cpam_bayes.render.report import Column, Report, Rows, Summary
 from cpam_bayes.result import Result, present
 
-__all__ = ["BuiltinPlates", "plates"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class BuiltinPlates(Result):

@@ -45,8 +45,6 @@ from cpam_bayes.render.spectrum import Mark, test_drawings
 from cpam_bayes.result import Result, present
 from cpam_bayes.running import SILENT, Watch, single_blas_thread
 
-__all__ = ["PolesResult", "poles"]
-
 TABLE: Final = "modes.csv"
 """The table of modes among the files of `--out`."""
 # Lines at 0 Hz and beside it are drift.

@@ -56,8 +56,6 @@ from cpam_bayes.running import SILENT, Watch, single_blas_thread
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["PosteriorLike", "PredictedMode", "PredictionResult", "predict"]
-
 Array = NDArray[Any]
 PosteriorLike = str | os.PathLike[str] | SampledResult
 

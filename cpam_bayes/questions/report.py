@@ -34,8 +34,6 @@ from cpam_bayes.render.sentences import plate_argument
 from cpam_bayes.result import PlateResult, Result, document_of, present, within_time
 from cpam_bayes.running import SILENT, Watch
 
-__all__ = ["FullReport", "report"]
-
 # Probability of a stacking sequence with its images below which more than a footnote says that it was taken.
 _SURE = 0.95
 

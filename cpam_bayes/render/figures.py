@@ -20,21 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, FigureBase
 
-__all__ = [
-    "BEFORE",
-    "DOUBTFUL",
-    "MEASURED",
-    "PREDICTED",
-    "REFERENCE",
-    "Extent",
-    "draw_shape",
-    "extent_of",
-    "headed",
-    "new_figure",
-    "save_figures",
-    "shapes_figure",
-]
-
 _DPI = 150
 # One meaning a colour, in all figures: what was measured; what the model of the answer says; what the plain
 # model says, before anything was found; what was known before, priors and references; what is in doubt.

@@ -13,8 +13,6 @@ from cpam_bayes.render.page import PAGE, command_of, write_page
 from cpam_bayes.render.report import Report, csv_text, json_text, xlsx_bytes
 from cpam_bayes.storage import draft_directory, put_in_place, replaceable, write_whole
 
-__all__ = ["Stage", "require_table", "save", "save_tables", "staging"]
-
 _FIGURES = "figures"
 _DRAWS = "posterior.nc"
 
@@ -22,7 +20,7 @@ _DRAWS = "posterior.nc"
 Stage = tuple[Path, Path]
 
 
-class Answer(Protocol):
+class _Answer(Protocol):
     """The result of a question as it is saved, `cpam_bayes.result.Result`."""
 
     command: ClassVar[str]
@@ -63,7 +61,7 @@ def staging(out: str | None) -> Iterator[Stage | None]:
         yield directory, _draft(directory, stack)
 
 
-def save(result: Answer, stage: Stage | None) -> tuple[str, ...]:
+def save(result: _Answer, stage: Stage | None) -> tuple[str, ...]:
     """Write NAME.json, the figures as PNG and SVG, other files; raise ``OSError`` where that fails.
 
     Returns what became of the page and the draws of another command, a sentence each.
@@ -105,7 +103,7 @@ def require_table(path: str | None, ending: str) -> None:
         )
 
 
-def save_tables(result: Answer, csv: str | None, xlsx: str | None) -> None:
+def save_tables(result: _Answer, csv: str | None, xlsx: str | None) -> None:
     """Write the main table as CSV and all tables as a workbook; raise ``OSError`` where that fails."""
     if csv is None and xlsx is None:
         return
@@ -121,7 +119,7 @@ def _encoded(text: str, name: str) -> bytes:
     return text.encode("utf-8-sig" if name.casefold().endswith(".csv") else "utf-8")
 
 
-def _draws_written(result: Answer, draft: Path, directory: Path) -> tuple[str, ...]:
+def _draws_written(result: _Answer, draft: Path, directory: Path) -> tuple[str, ...]:
     """Write the draws; what became of those of another command."""
     from cpam_bayes.inference.sampling import command_of_draws
 

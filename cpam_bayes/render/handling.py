@@ -26,8 +26,6 @@ from cpam_bayes.render.report import Caption, Column, Drawing, Rows, Section
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["Handled", "Handling", "handling_drawing", "handling_of", "handling_rows", "handling_section"]
-
 Point = tuple[float, float]
 """A place, x and y, mm."""
 _Node = tuple[int, int]

@@ -20,18 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "COMPARED",
-    "PLACE",
-    "ComparedRow",
-    "beside_paper",
-    "difference_sentences",
-    "draw_constant",
-    "legend_entries",
-    "noise_text",
-    "sensitivity_figure",
-]
-
 # Inversions that the paper's means are over.
 _PAPER_GROUPS: Final = 10
 

@@ -14,8 +14,6 @@ from cpam_bayes.forward_model.preconditions import likely_cure
 from cpam_bayes.plate import Constraint, to_user, user_name
 from cpam_bayes.plate.edges import CONDITIONS, PLACES
 
-__all__ = ["SENTENCES", "capitalised", "sentence_of", "sentences"]
-
 Facts: TypeAlias = Mapping[str, Any]
 
 # Frequencies and plates that are named before "and so on".

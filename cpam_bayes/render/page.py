@@ -33,8 +33,6 @@ from cpam_bayes.render.report import (
     merged,
 )
 
-__all__ = ["PAGE", "TERMS", "Image", "command_of", "fragment", "page_text", "terms_section", "write_page"]
-
 PAGE: Final = "report.html"
 """Name of the page of every command."""
 

@@ -23,31 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "FIGURE",
-    "NO_AIR",
-    "PLATE",
-    "THIN",
-    "Overlay",
-    "air_text",
-    "assurance_drawings",
-    "assurance_sections",
-    "edges_text",
-    "layup_text",
-    "measured_facts",
-    "plate_caption",
-    "plate_drawing",
-    "plate_figure",
-    "plate_head",
-    "plate_section",
-    "plate_sentence",
-    "shape_keys",
-    "size_text",
-    "thickness_class",
-    "thickness_ratio",
-]
-
-
 NO_AIR = "not in the model"
 # Shorter side over thickness from which transverse shear hardly shows in the lowest modes.
 THIN = 20.0

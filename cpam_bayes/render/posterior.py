@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Draws", "marginals_figure", "pairs_figure"]
-
 _BINS: Final = 40
 # Bins of a pair are wider, for its draws are spread over their square.
 _PAIR_BINS: Final = 26

@@ -22,32 +22,6 @@ from cpam_bayes.plate import Specimen
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = [
-    "COMPUTATION",
-    "Caption",
-    "Column",
-    "Drawing",
-    "Heading",
-    "Report",
-    "Rows",
-    "Section",
-    "Summary",
-    "Table",
-    "csv_text",
-    "data_frame",
-    "facts",
-    "json_text",
-    "laminate_keys",
-    "laminate_unit",
-    "merged",
-    "modes_caption",
-    "plain",
-    "plate_keys",
-    "remarks",
-    "xlsx_bytes",
-]
-
-
 COMPUTATION: Final = "How this was computed"
 """Title of the section that stands last on a page."""
 

@@ -20,35 +20,6 @@ from cpam_bayes.priors import Prior
 from cpam_bayes.render.plate import edges_text
 from cpam_bayes.render.report import Column, Heading, Rows, Section, Table, remarks
 
-__all__ = [
-    "attached_step",
-    "basis_error_text",
-    "constant_details",
-    "constant_keys",
-    "constant_rows",
-    "constant_title",
-    "constants_headline",
-    "constants_table",
-    "correction_step",
-    "determined_text",
-    "diagnose_step",
-    "errors_table",
-    "fit_sentence",
-    "frequency_columns",
-    "further_steps",
-    "gauge_step",
-    "intervals_sentence",
-    "mismatch_step",
-    "more_modes_step",
-    "noise_word",
-    "plate_argument",
-    "prior_text",
-    "references_said",
-    "reliance_sentences",
-    "stated_noise",
-    "value_text",
-]
-
 _TITLES: Final = {
     "E1": "Young's modulus along the fibres",
     "E2": "Young's modulus across the fibres",

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Mark", "line_sizes", "peak_drawings", "peak_keys", "peak_rows", "peak_sections", "test_drawings"]
-
 _MOST_DRAWN: Final = 12
 # The lowest value that is drawn, as a part of the largest one.
 _FLOOR: Final = 1e-12

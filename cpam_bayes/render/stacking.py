@@ -22,19 +22,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "FIRST_SCREEN",
-    "SEQUENCES",
-    "ListedSequence",
-    "angle_table",
-    "angles_text",
-    "constants_by_name",
-    "drawings",
-    "mixture_table",
-    "outer_and_inner",
-    "same_bending",
-]
-
 # Probability from which on an angle is worth a place.
 _LEAST_ANGLE: Final = 0.005
 

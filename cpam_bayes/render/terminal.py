@@ -23,18 +23,6 @@ from cpam_bayes.parallel import observed
 from cpam_bayes.render.report import Heading, Report, Summary, Table
 from cpam_bayes.running import Described, Progress
 
-__all__ = [
-    "Terminal",
-    "announce",
-    "forecasting",
-    "plain_text",
-    "progress",
-    "screen_tables",
-    "screen_text",
-    "timed_lines",
-]
-
-
 _JOINED: Final = re.compile(r"(?<=\d) (?=%|[A-Za-z]{1,3}\b)|(?<=cpam-bayes) | (?=\+- )|(?<=\+-) ")
 """Spaces at which no line is broken: before units, within a tolerance, after the name of the command."""
 _WIDTH: Final = 100

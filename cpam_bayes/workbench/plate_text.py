@@ -15,23 +15,6 @@ from typing import Any, Final
 
 from cpam_bayes.plate.checks import SOURCES
 
-__all__ = [
-    "FIELDS",
-    "SENSOR",
-    "Row",
-    "as_typed",
-    "content",
-    "numbers_in",
-    "rows_in",
-    "sensors_in",
-    "value_at",
-    "with_block",
-    "with_file",
-    "with_rows",
-    "with_sensors",
-    "with_value",
-]
-
 NUMBER, WORDS, LIST = "number", "words", "list"
 FIELDS: Final[Mapping[str, str]] = {
     "name": WORDS,

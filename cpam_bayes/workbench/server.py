@@ -22,8 +22,6 @@ from starlette.routing import Route
 from cpam_bayes.workbench.view import begin_page, folder_news, news_of, visit_page
 from cpam_bayes.workbench.visit import MOST_BYTES, Desk, EditError, Visit, Work, plate_names
 
-__all__ = ["HOST", "application", "free_port", "serve"]
-
 HOST: Final = "127.0.0.1"
 _MOST_BYTES, _MOST_VISITS = 64_000, 100
 _WAIT = 25.0

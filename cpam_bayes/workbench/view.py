@@ -19,8 +19,6 @@ from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.workbench.plate_text import as_typed, sensors_in, value_at
 from cpam_bayes.workbench.visit import Visit, Work
 
-__all__ = ["begin_page", "folder_news", "news_of", "visit_page"]
-
 _EDGES: Final = {letter: CONDITIONS[letter].name for letter in "FSC"}
 _SIZES: Final = (
     ("plate.length_mm", "Length, along x", "mm"),

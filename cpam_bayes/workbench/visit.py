@@ -44,25 +44,6 @@ from cpam_bayes.workbench.plate_text import (
     with_value,
 )
 
-__all__ = [
-    "DRAFTS",
-    "MOST_BYTES",
-    "Desk",
-    "EditError",
-    "Material",
-    "Pool",
-    "RefusedError",
-    "Shown",
-    "Task",
-    "Tasks",
-    "Tell",
-    "Visit",
-    "Work",
-    "Worker",
-    "plate_names",
-]
-
-
 Tell: TypeAlias = Callable[..., None]
 """Is told the fraction that is done, negative where not known, what is being done, and shares so far."""
 

@@ -20,20 +20,6 @@ from scipy.stats import f as f_distribution
 from cpam_bayes.plate.modal_analysis.hits import MAINS, FrequencyResponses
 from cpam_bayes.plate.modes_of_hits import small_sample_factor
 
-__all__ = [
-    "DEFAULT_ORDER",
-    "LEAST_SD",
-    "STANDS_OUT",
-    "Pole",
-    "Stabilisation",
-    "Taken",
-    "fit_poles",
-    "is_of_mains",
-    "modes_of_hits",
-    "stabilise",
-    "with_others",
-]
-
 Array = NDArray[Any]
 
 # Half width of the band about a pole: half widths of its peak, and lines at least.

@@ -18,22 +18,6 @@ from scipy.signal import lfilter
 
 from cpam_bayes.answer import Notice, each_once
 
-__all__ = [
-    "MAINS",
-    "WINDOWS",
-    "ClippedError",
-    "FrequencyResponses",
-    "ModalTestError",
-    "Recording",
-    "Window",
-    "peaks_of",
-    "relative_power",
-    "require_unclipped",
-    "responses_of_hits",
-    "told_channels",
-    "without_silent",
-]
-
 Array = NDArray[Any]
 
 

@@ -35,17 +35,6 @@ from cpam_bayes.plate.schema import MAX_FREQUENCIES
 from cpam_bayes.plate.text import Data, Problem, numbers, read_named_file, table
 from cpam_bayes.running import single_blas_thread
 
-__all__ = [
-    "LEAST_ORDER",
-    "MOST_ORDER",
-    "ModalTest",
-    "candidates_of",
-    "false_peaks",
-    "hit_notices",
-    "modal_test",
-    "mode_probability",
-]
-
 Array = NDArray[Any]
 
 LEAST_ORDER: Final = 10

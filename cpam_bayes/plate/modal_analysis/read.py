@@ -36,8 +36,6 @@ from cpam_bayes.plate.modal_analysis.hits import (
 from cpam_bayes.plate.modes_table import COLUMNS
 from cpam_bayes.plate.text import read_regular_file
 
-__all__ = ["of_folder", "read_responses"]
-
 Array = NDArray[Any]
 # A file of this size takes some seconds and less than 1 GiB.
 _MOST_BYTES: Final = 50_000_000

@@ -19,19 +19,6 @@ from cpam_bayes.render.page import page_text
 from cpam_bayes.render.report import Column, Rows, csv_text
 from cpam_bayes.result import Result
 
-__all__ = [
-    "CERTIFICATE",
-    "SURE",
-    "BatchResult",
-    "BatchVerdict",
-    "dataset",
-    "document",
-    "plates",
-    "population_dataset",
-    "probability_text",
-    "verdict",
-]
-
 BatchVerdict: TypeAlias = Literal["pass", "fail", "too close to call", "cannot be judged"]
 SURE: Final = 0.95
 """Probability of meeting a limit from which a plate is said to, and 1 - it to fail."""

@@ -18,15 +18,6 @@ from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.questions.batch.result import CERTIFICATE, SURE, BatchResult, BatchVerdict, verdict
 from cpam_bayes.render.report import Column, Rows, Section, facts
 
-__all__ = [
-    "certificate_section",
-    "four_verdicts",
-    "limit_step",
-    "slip_question",
-    "weighs_slip",
-    "why_not_judged",
-]
-
 # Plates of one verdict that are named, and causes of one plate.
 _MOST_NAMED, _MOST_CAUSES = 3, 2
 # What the file of a plate says of its test.

@@ -43,17 +43,6 @@ from cpam_bayes.render.sentences import (
     stated_noise,
 )
 
-__all__ = [
-    "beyond_theory",
-    "checked_effects",
-    "claim_sentence",
-    "next_steps",
-    "sensitivity_sentence",
-    "shown_constants",
-    "stated_levels",
-    "summary",
-]
-
 # Probability of deciding from which a further test is recommended as such.
 _DECIDES: Final = 0.3
 # Probability from which the check of a cause is named where nothing is claimed, and how many are.

@@ -29,29 +29,6 @@ from cpam_bayes.render.report import Column, Rows
 from cpam_bayes.render.spectrum import peak_keys, peak_rows
 from cpam_bayes.result import PlatesResult
 
-__all__ = [
-    "FEW",
-    "DetectableRow",
-    "DiagnosisResult",
-    "absorbed_biases",
-    "answer_constants",
-    "catalogue_sd",
-    "detectable_rows",
-    "detectable_size",
-    "document",
-    "fit_constants",
-    "leading",
-    "place_of",
-    "place_text",
-    "probability_text",
-    "size_text",
-    "some_of",
-    "tables",
-    "taken_peaks",
-    "title_of",
-    "titles_of",
-]
-
 Moments = tuple[float, float, float, float]
 """Mean, standard deviation, 2.5 % and 97.5 % quantile."""
 

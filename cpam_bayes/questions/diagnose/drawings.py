@@ -50,8 +50,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-__all__ = ["drawings"]
-
 Array = NDArray[Any]
 
 _BARS: Final = 12

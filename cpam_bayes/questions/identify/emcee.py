@@ -66,8 +66,6 @@ from cpam_bayes.questions.identify.slips import Slip, corrected_texts, slips_whe
 from cpam_bayes.result import PlateResult, within_time
 from cpam_bayes.running import SILENT, Watch, single_blas_thread
 
-__all__ = ["Marginal", "SampledResult", "inference_data", "sample"]
-
 Array = NDArray[Any]
 
 # Fraction of the search interval that counts as touching a bound.

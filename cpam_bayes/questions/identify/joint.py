@@ -77,8 +77,6 @@ from cpam_bayes.running import Watch
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["MAX_SCATTER", "JointResult", "identify_jointly"]
-
 MAX_SCATTER: Final = 0.5
 
 

@@ -63,8 +63,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-__all__ = ["product_text"]
-
 # A mode this many standard deviations from what the others predict is marked.
 _MAX_DISTANCE_SD: Final = 3.0
 # Smaller exponents are left out of a product.

@@ -89,8 +89,6 @@ from cpam_bayes.running import SILENT, Watch
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["PointResult", "identify"]
-
 Estimate = TypeVar("Estimate")
 
 # Draws of a posterior that is stored.

@@ -61,18 +61,6 @@ from cpam_bayes.plate.layup import from_angles
 from cpam_bayes.plate.text import decode, line_numbers
 from cpam_bayes.running import is_time_up, single_blas_thread
 
-__all__ = [
-    "GROSS",
-    "Slip",
-    "SlipKind",
-    "corrected_file",
-    "corrected_texts",
-    "explaining_slips",
-    "slip_records",
-    "slips_where_unreachable",
-    "with_slips",
-]
-
 SlipKind: TypeAlias = Literal[
     "sides", "layup", "edges", "supports", "clamped", "free", "missed", "false", "misread", "decimal"
 ]

@@ -24,8 +24,6 @@ from cpam_bayes.render.report import Caption, Drawing
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["OF_THE_PAPER", "Record", "drawings"]
-
 Record = Mapping[str, Any]
 """A row of the JSON document."""
 

@@ -25,8 +25,6 @@ from cpam_bayes.stacking.queries import given_layup
 from cpam_bayes.stacking.records import StackingPosterior
 from cpam_bayes.stacking.symmetry import members
 
-__all__ = ["bounds_alone", "layup_case", "searched", "weighed"]
-
 Array = NDArray[Any]
 
 # A constant this close to a bound, as a fraction of its interval, sits on it.

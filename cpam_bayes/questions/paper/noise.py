@@ -32,8 +32,6 @@ from cpam_bayes.questions.paper.rows import (
     row_of,
 )
 
-__all__ = ["MeansOfTen", "NoisyAngles", "means_of_ten", "noise_rows", "noisy_angles"]
-
 # Means agree up to so many standard errors of their difference, if they are no further apart than this, %.
 _STANDARD_ERRORS, _MEAN_PERCENT = 2.0, 5.0
 # From this share of inversions on a bound their scatter says nothing of the noise.

@@ -34,8 +34,6 @@ from cpam_bayes.render.report import (
 )
 from cpam_bayes.render.terminal import duration
 
-__all__ = ["page", "report_of", "row_table"]
-
 _FREQUENCY_TABLES: Final = (1, 5)
 # Misfit of the plain model, %, from which on a plate's list is not that of the printed plate.
 _UNEXPLAINED_PERCENT: Final = 5.0

@@ -20,37 +20,6 @@ from cpam_bayes.printed.tables import (
     printed_table,
 )
 
-__all__ = [
-    "AGREES",
-    "BUILT_IN",
-    "FOUR",
-    "INPUT",
-    "MISPRINTED",
-    "NOT_COMPUTED",
-    "NOT_REPRODUCIBLE",
-    "TWO",
-    "UNTOLD",
-    "VERDICTS",
-    "WITHIN",
-    "Computed",
-    "Cost",
-    "Judged",
-    "Misfit",
-    "Results",
-    "Row",
-    "SimulationError",
-    "Verdict",
-    "WellPosed",
-    "constant_rows",
-    "disagreements",
-    "frequency_rows",
-    "identified_row",
-    "input_rows",
-    "layup_row",
-    "layup_rows",
-    "row_of",
-]
-
 BUILT_IN, TWO, FOUR = "as built in", "two constants", "four constants"
 """Choices of unknowns: those of the built-in specimen, or two or four constants of an aluminium plate."""
 Verdict = Literal[

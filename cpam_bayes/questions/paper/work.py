@@ -42,28 +42,6 @@ from cpam_bayes.questions.sequence import sequence
 from cpam_bayes.running import Watch
 from cpam_bayes.storage import read_sealed, set_aside, write_sealed
 
-__all__ = [
-    "FULL",
-    "OF_FULL_EFFORT",
-    "QUICK",
-    "Effort",
-    "Task",
-    "calculix_frequencies",
-    "case_specimen",
-    "comes_with_the_package",
-    "diagnoses",
-    "diagnosis_row",
-    "packaged",
-    "printed_rows",
-    "read",
-    "sequence_cases",
-    "simulation_errors",
-    "stamp",
-    "well_posed",
-    "work",
-    "write",
-]
-
 Array = NDArray[Any]
 
 # Eq. (8) bounds E2 by 40 GPa and cannot have been used for aluminium, whose E2 is about 70 GPa.
