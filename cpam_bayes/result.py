@@ -20,7 +20,7 @@ from cpam_bayes.errors import checked
 from cpam_bayes.fingerprint import fingerprint
 from cpam_bayes.plate import Specimen
 from cpam_bayes.render.notices import sentences
-from cpam_bayes.render.report import Drawing, Report, plain
+from cpam_bayes.render.report import Drawing, Report, Summary, Table, plain
 from cpam_bayes.render.terminal import plain_text, screen_tables
 from cpam_bayes.running import current_limit
 
@@ -93,6 +93,13 @@ class Result:
         about = f"{self.command} {self.title}".strip()
         many = f", warnings: {len(self.warnings)}" if self.warnings else ""
         return f"<{type(self).__name__} of {about}: {self.status}{many}>"
+
+    def screen(
+        self, headline: str, tables: tuple[Table, ...] = (), lines: tuple[str, ...] = (), next_step: str = ""
+    ) -> Summary:
+        """The first screen, with the title, the slips and the warnings of the answer."""
+        title = f"{self.command} {self.title}"
+        return Summary(title, headline, tables, lines, next_step, self.slips, self.cautions)
 
     def report(self) -> Report:
         """All that is shown of the answer, as `present` makes it."""

@@ -45,7 +45,6 @@ from cpam_bayes.render.report import (
     Report,
     Rows,
     Section,
-    Summary,
     facts,
     plate_keys,
 )
@@ -245,8 +244,7 @@ def _present(result: CalibrationResult) -> Report:
     least, most = (pick(100 * c.widest.share for c in result.constants) for pick in (min, max))
     doubtful = [_shown(c.name) for c in result.constants if c.p_value < _DOUBTFUL]
     return Report(
-        summary=Summary(
-            title=f"calibrate {result.title}",
+        summary=result.screen(
             headline=(
                 f"The 95 % intervals held the true value in {least:.0f} to {most:.0f} % of {n} simulated "
                 "lists."
@@ -263,8 +261,6 @@ def _present(result: CalibrationResult) -> Report:
                 "which constants has the plate?  cpam-bayes identify "
                 f"{plate_argument(result.specimen)} --backend emcee"
             ),
-            slips=result.slips,
-            warnings=result.cautions,
         ),
         sections=(
             plate_section(result.specimen, result.air_shifts),

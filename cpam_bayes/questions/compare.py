@@ -17,7 +17,7 @@ from cpam_bayes.plate import PlateLike, to_user, unit_of, user_name
 from cpam_bayes.questions.batch import batch
 from cpam_bayes.questions.batch.result import probability_text
 from cpam_bayes.questions.batch.verdicts import slip_question
-from cpam_bayes.render.report import Column, Report, Rows, Summary
+from cpam_bayes.render.report import Column, Report, Rows
 from cpam_bayes.result import Result, present, within_time
 from cpam_bayes.running import SILENT, Watch
 
@@ -126,16 +126,13 @@ def _present(result: CompareResult) -> Report:
     first, second = result.rows
     table = Rows("differences", _columns(first, second), tuple(result.differences.values()))
     return Report(
-        summary=Summary(
-            title=f"compare {result.title}",
+        summary=result.screen(
             headline=_headline(result),
             tables=(table.table(""),),
             lines=(
                 "The intervals contain noise, tolerances and data sheet of each plate, taken as independent.",
             ),
             next_step=_next_step(result),
-            slips=result.slips,
-            warnings=result.cautions,
         ),
         document={
             "command": result.command,

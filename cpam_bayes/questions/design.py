@@ -54,7 +54,6 @@ from cpam_bayes.render.report import (
     Report,
     Rows,
     Section,
-    Summary,
     facts,
     plate_keys,
 )
@@ -329,14 +328,11 @@ def _present(result: DesignResult) -> Report:
     maps = tuple(_maps(result))
     behind = _rows(result, result.candidates[:_MOST_ROWS]).table(title)
     return Report(
-        summary=Summary(
-            title=f"design {result.title}",
+        summary=result.screen(
             headline=f"{_verdict(result, best)}{_gain(result)}",
             tables=(_rows(result, shown).table(f"The best of {n} candidates"),),
             lines=(_noise(result), _sizes(result)),
             next_step=_next_step(result),
-            slips=result.slips,
-            warnings=result.cautions,
         ),
         sections=(
             Section("Maps of the expected information", (), tuple(m.name for m in maps), folded=False),

@@ -33,7 +33,7 @@ from cpam_bayes.mechanics.modes import Mode, describe_modes, shapes_at
 from cpam_bayes.plate import PlateLike, Specimen, read_plate
 from cpam_bayes.plate.instruments import pyuff
 from cpam_bayes.render.plate import plate_section
-from cpam_bayes.render.report import Column, Report, Rows, Section, Summary, Table, facts, plate_keys
+from cpam_bayes.render.report import Column, Report, Rows, Section, Table, facts, plate_keys
 from cpam_bayes.render.sentences import plate_argument
 from cpam_bayes.result import PlateResult, present
 from cpam_bayes.running import single_blas_thread
@@ -309,13 +309,10 @@ def _report(
     rows: tuple[Rows, ...] = (),
 ) -> Report:
     return Report(
-        summary=Summary(
-            title=f"export {result.title}",
+        summary=result.screen(
             headline=headline,
             lines=(_CONSTANTS,),
             next_step=next_step,
-            slips=result.slips,
-            warnings=result.cautions,
         ),
         sections=(
             plate_section(result.specimen, result.air_shifts),

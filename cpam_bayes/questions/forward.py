@@ -73,7 +73,6 @@ from cpam_bayes.render.report import (
     Report,
     Rows,
     Section,
-    Summary,
     Table,
     facts,
     modes_caption,
@@ -386,14 +385,11 @@ def _present(result: ForwardResult) -> Report:
     worst = float(np.max(result.error))
     handling = result.handling
     return Report(
-        summary=Summary(
-            title=f"forward {result.title}",
+        summary=result.screen(
             headline=_headline(rows),
             tables=(modes.table("Modes"),),
             lines=(_exactness(result), *(() if _list_is_paired(result) else (_UNPAIRED,))),
             next_step=_next_step(result),
-            slips=result.slips,
-            warnings=result.cautions,
         ),
         sections=(
             plate_section(specimen, result.air_shifts),

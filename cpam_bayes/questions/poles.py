@@ -38,7 +38,6 @@ from cpam_bayes.render.report import (
     Report,
     Rows,
     Section,
-    Summary,
     facts,
 )
 from cpam_bayes.render.spectrum import Mark, test_drawings
@@ -275,8 +274,7 @@ def _present(result: PolesResult) -> Report:
         ),
     )
     return Report(
-        summary=Summary(
-            title=f"poles {result.title}",
+        summary=result.screen(
             headline=_headline(result.modes),
             tables=(modes.table("Modes"),),
             lines=(
@@ -285,8 +283,6 @@ def _present(result: PolesResult) -> Report:
                 *((_contained(result.modes),) if result.modes else ()),
             ),
             next_step=_NEXT if result.modes else "",
-            slips=result.slips,
-            warnings=result.cautions,
         ),
         sections=(
             Section("Spectrum", figures=("spectrum",), folded=False),

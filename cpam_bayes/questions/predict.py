@@ -44,7 +44,6 @@ from cpam_bayes.render.report import (
     Report,
     Rows,
     Section,
-    Summary,
     facts,
     modes_caption,
     plate_keys,
@@ -368,14 +367,11 @@ def _present(result: PredictionResult) -> Report:
         ("time", f"{result.seconds:.1f} s"),
     )
     return Report(
-        summary=Summary(
-            title=f"predict {result.title}",
+        summary=result.screen(
             headline=_headline(rows),
             tables=(frequencies.table("Predicted frequencies"),),
             lines=(f"{_contained(result)} {_noise(stored)}",),
             next_step=first,
-            slips=result.slips,
-            warnings=result.cautions,
         ),
         sections=(
             plate_section(specimen, result.air_shifts),

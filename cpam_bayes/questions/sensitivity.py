@@ -61,7 +61,6 @@ from cpam_bayes.render.report import (
     Report,
     Rows,
     Section,
-    Summary,
     Table,
     facts,
     plain,
@@ -240,8 +239,7 @@ def _present(result: SensitivityResult) -> Report:
     )
     names = listed([c.name for c in study.without_noise.constants], "and")
     return Report(
-        summary=Summary(
-            title=f"sensitivity {result.title}",
+        summary=result.screen(
             headline=_headline(by_cell[0]),
             tables=(_spreads(study, by_cell),),
             lines=(_agreement(rows), f"Noise is added to {_LISTS[study.source]}."),
@@ -249,8 +247,6 @@ def _present(result: SensitivityResult) -> Report:
                 "which constants has the plate, and how exactly?  cpam-bayes identify "
                 f"{plate_argument(result.specimen)} --backend emcee"
             ),
-            slips=result.slips,
-            warnings=result.cautions,
         ),
         sections=(
             plate_section(result.specimen, result.air_shifts),

@@ -39,7 +39,6 @@ from cpam_bayes.render.report import (
     Report,
     Rows,
     Section,
-    Summary,
     Table,
     facts,
     plate_keys,
@@ -329,8 +328,7 @@ def _present(result: StackingResult) -> Report:
     told = tuple(c.name for c in constants if not c.is_open)
     errors = result.scale_errors
     return Report(
-        summary=Summary(
-            title=f"sequence {result.title}",
+        summary=result.screen(
             headline=_headline(every[0]),
             tables=(
                 constants_table(constants),
@@ -347,8 +345,6 @@ def _present(result: StackingResult) -> Report:
                 ),
             ),
             next_step=_next_step(result, every[0]),
-            slips=result.slips,
-            warnings=result.cautions,
         ),
         sections=(
             plate_section(result.specimen, result.air_shifts),

@@ -28,7 +28,6 @@ from cpam_bayes.render.report import (
     Report,
     Rows,
     Section,
-    Summary,
     Table,
     facts,
 )
@@ -58,8 +57,7 @@ def _present(result: BatchResult) -> Report:
     )
     drawings = _drawings(result)
     return Report(
-        summary=Summary(
-            title=f"batch {result.title}",
+        summary=result.screen(
             headline=_headline(result),
             tables=(
                 constants.table("The batch"),
@@ -69,8 +67,6 @@ def _present(result: BatchResult) -> Report:
             ),
             lines=_lines(result),
             next_step=_next_step(result),
-            slips=result.slips,
-            warnings=result.cautions,
         ),
         sections=(
             certificate_section(result),

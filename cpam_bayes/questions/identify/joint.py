@@ -52,7 +52,6 @@ from cpam_bayes.render.report import (
     Report,
     Rows,
     Section,
-    Summary,
     facts,
     laminate_keys,
     remarks,
@@ -224,14 +223,11 @@ def _present(result: JointResult) -> Report:
         f"is anything wrong with a plate or a list?  cpam-bayes diagnose {plates}",
     )
     return Report(
-        summary=Summary(
-            title=f"identify {result.title}",
+        summary=result.screen(
             headline=f"{_counted(estimate)}: {constants_headline(constants, len(rows))}",
             tables=(constants_table(constants), fits.table("Fit of each list")),
             lines=(_contained(result),),
             next_step=steps[0],
-            slips=result.slips,
-            warnings=result.cautions,
         ),
         sections=(
             Section(

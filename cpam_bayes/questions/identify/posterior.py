@@ -29,7 +29,6 @@ from cpam_bayes.render.report import (
     Report,
     Rows,
     Section,
-    Summary,
     Table,
     facts,
     laminate_unit,
@@ -113,8 +112,7 @@ def _present(result: SampledResult) -> Report:
     if result.status == "budget":
         headline = f"The chains did not converge: do not use this answer. {headline}"
     return Report(
-        summary=Summary(
-            title=f"identify {result.title}",
+        summary=result.screen(
             headline=headline,
             tables=(constants_table(constants),),
             lines=(
@@ -131,8 +129,6 @@ def _present(result: SampledResult) -> Report:
                 intervals_sentence(specimen.plate, result.scale_errors, use, also=references_said(specimen)),
             ),
             next_step=next(iter(steps), ""),
-            slips=result.slips,
-            warnings=result.cautions,
         ),
         sections=(
             plate_section(specimen, result.air_shifts),

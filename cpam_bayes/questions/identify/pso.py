@@ -54,7 +54,6 @@ from cpam_bayes.render.report import (
     Report,
     Rows,
     Section,
-    Summary,
     Table,
     facts,
     laminate_keys,
@@ -373,8 +372,7 @@ def _present(result: PointResult) -> Report:
     measurement, _ = required(specimen)
     inferred = estimate.noise_is_inferred
     return Report(
-        summary=Summary(
-            title=f"identify {result.title}",
+        summary=result.screen(
             headline=_headline(result),
             tables=(constants_table(constants),),
             lines=(
@@ -393,8 +391,6 @@ def _present(result: PointResult) -> Report:
                 ),
             ),
             next_step=steps[0],
-            slips=result.slips,
-            warnings=result.cautions,
         ),
         sections=(
             plate_section(specimen, result.air_shifts),

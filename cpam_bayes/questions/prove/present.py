@@ -23,7 +23,6 @@ from cpam_bayes.render.report import (
     Report,
     Rows,
     Section,
-    Summary,
     facts,
     plate_keys,
 )
@@ -147,8 +146,7 @@ def _present(result: CoinResult) -> Report:
     of_seal = (shifts.table("Frequencies that the first list and the seal predict"),) if shifts.rows else ()
     limit = result.detection_limit
     return Report(
-        summary=Summary(
-            title=f"prove {result.title}",
+        summary=result.screen(
             headline=_headline(result),
             tables=(rows.table("Lists after the first"),),
             lines=(
@@ -161,8 +159,6 @@ def _present(result: CoinResult) -> Report:
             next_step=""
             if result.hash
             else "seal mass and place in a file before the answer.  --sealed FILE",
-            slips=result.slips,
-            warnings=result.cautions,
         ),
         sections=(
             Section(
