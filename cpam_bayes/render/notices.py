@@ -5,7 +5,8 @@ A sentence says what is wrong, with its number, and what to do about it; nothing
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from string import Formatter
 from typing import Any, Final, TypeAlias
 
 from cpam_bayes.answer import Notice, Severity
@@ -39,7 +40,18 @@ def sentence_of(notice: Notice) -> str:
 
 def _written(code: str, facts: Facts) -> str:
     sentence = SENTENCES[code]
-    return sentence.format(**facts) if isinstance(sentence, str) else sentence(facts)
+    return _Template().vformat(sentence, (), facts) if isinstance(sentence, str) else sentence(facts)
+
+
+class _Template(Formatter):
+    """Templates of sentences: "{noise:percent}" is a fact in one of `_WAYS`, "{chains}" one of `_PHRASES`."""
+
+    def get_value(self, key: int | str, args: Sequence[Any], kwargs: Facts) -> Any:
+        return kwargs[str(key)] if key in kwargs else _PHRASES[str(key)](kwargs)
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        way = _WAYS.get(format_spec)
+        return format(value, format_spec) if way is None else way(value)
 
 
 def capitalised(text: str) -> str:
@@ -56,6 +68,11 @@ def _percent(fraction: float, digits: int = 2) -> str:
     return f"{significant(100.0 * fraction, digits)} %"
 
 
+def _short_percent(fraction: float) -> str:
+    """As it was stated, without the error of a product."""
+    return f"{round(100.0 * fraction, 10):g} %"
+
+
 def _hz(frequencies: Iterable[float]) -> str:
     each = [f"{f:.5g}" for f in frequencies]
     more = f" and {len(each) - _MOST_NAMED} more" if len(each) > _MOST_NAMED else ""
@@ -67,10 +84,6 @@ def _names(names: Iterable[str]) -> str:
 
 
 # Of plate files and lists.
-
-
-def _as_written(facts: Facts) -> str:
-    return capitalised(facts["text"])
 
 
 def _units(facts: Facts) -> str:
@@ -125,13 +138,6 @@ def _equal_lists(facts: Facts) -> str:
     )
 
 
-def _list_given_twice(facts: Facts) -> str:
-    return (
-        f"The frequencies of {facts['name']} are those of {facts['before']}, digit by digit. Give the list "
-        "that was measured with the mass."
-    )
-
-
 def _axes_exchange(facts: Facts) -> str:
     square = facts["square"]
     why = "the plate is square with four equal edges" if square else "ply angles are unknown"
@@ -142,28 +148,12 @@ def _axes_exchange(facts: Facts) -> str:
     )
 
 
-def _prior_not_fitted(facts: Facts) -> str:
-    return f"The swarm uses only the bounds of {_names(facts['names'])}, not their mean and sd."
-
-
-def _prior_not_inverted(facts: Facts) -> str:
-    names = _names(facts["names"])
-    return f"The inversions use only the bounds of {names}; their mean and sd enter the posterior alone."
-
-
 def _sizes_exact(facts: Facts) -> str:
     names = _names([user_name(name) for name in facts["names"]])
     return f"{capitalised(names)[:-1]} are assumed exact here: their stated tolerances are ignored."
 
 
 # Of labels and shapes.
-
-
-def _shape_without_mode(facts: Facts) -> str:
-    return (
-        f"The shape at {facts['frequency']:.6g} Hz matches no mode (modal assurance at most "
-        f"{facts['assurance']:.2f}); the frequency is paired by its place in the list."
-    )
 
 
 _USES: Final = {
@@ -186,13 +176,6 @@ def _label_without_mode(facts: Facts) -> str:
     return (
         f"No mode of the first {facts['modes']} has the label {_names(lost)}. Check the label and the "
         "edges, or compute more modes (--modes N)."
-    )
-
-
-def _other_label(facts: Facts) -> str:
-    return (
-        f"Frequency {facts['frequency']} is labelled {facts['given']}, and its shape at these constants is "
-        f"rather {facts['found']}."
     )
 
 
@@ -270,14 +253,6 @@ def _clamped(edges: str) -> str:
     return listed([p for p, e in zip(PLACES, edges, strict=True) if CONDITIONS[e].is_clamp], "and")
 
 
-def _high_noise(facts: Facts) -> str:
-    return (
-        f"The noise inferred from the misfit{_of_plate(facts)} is {_percent(facts['noise'])} of a frequency, "
-        "high for a tap test: the plate model may lack something, and then the intervals can miss the true "
-        "constants."
-    )
-
-
 def _common_factor(facts: Facts) -> str:
     distances, ratio = facts["distances"], facts["ratio"]
     far = [f"{name} by {significant(abs(z), 2)}" for name, z in distances]
@@ -318,29 +293,13 @@ def _poor_fit(facts: Facts) -> str:
     )
 
 
-def _constraint(facts: Facts) -> str:
+def _constraint(constraint: Constraint) -> str:
     """A constraint with its material, and what lifts it."""
-    constraint: Constraint = facts["constraint"]
     text = f"{constraint.text} of {constraint.of}" if constraint.of else constraint.text
     lifted = ""
     if constraint.symmetry == "transversely_isotropic":
         lifted = " Plies such as fabric need the orthotropic model of the material."
     return f"{text}: the frequencies ask for constants beyond it.{lifted}"
-
-
-def _optimum_on_constraint(facts: Facts) -> str:
-    return f"The best constants lie on the constraint {_constraint(facts)}"
-
-
-def _cut_posterior(facts: Facts) -> str:
-    return f"The posterior is cut by the constraint {_constraint(facts)}"
-
-
-def _solver_error(facts: Facts) -> str:
-    error = _percent(facts["error"])
-    return (
-        f"The solver's error reaches {error} of a frequency (mode {facts['mode']}), which is not small here."
-    )
 
 
 def _soft_core(facts: Facts) -> str:
@@ -354,14 +313,6 @@ def _soft_core(facts: Facts) -> str:
     return f"{begun}, and identified moduli too high by up to twice as much."
 
 
-def _narrow_basis(facts: Facts) -> str:
-    return (
-        "The chains ran on a small basis, and by the whole one their draws are worth "
-        f"{_percent(facts['fraction'])}: means and intervals can be off. State the repeatability, for which "
-        "the basis is then made."
-    )
-
-
 def _unexplained_by_none(facts: Facts) -> str:
     noise = "any believable repeatability" if facts["inferred"] else "the stated repeatability"
     return (
@@ -371,13 +322,6 @@ def _unexplained_by_none(facts: Facts) -> str:
 
 
 # Of diagnoses.
-
-
-def _single_frequencies(facts: Facts) -> str:
-    return (
-        f"Single frequencies decide the claim: it holds in {100.0 * facts['stable']:.0f} % of the cases when "
-        "one is left out."
-    )
 
 
 def _several_optima(facts: Facts) -> str:
@@ -397,22 +341,11 @@ def _several_optima(facts: Facts) -> str:
     )
 
 
-def _differing_priors(facts: Facts) -> str:
-    return (
-        f"The files give different priors of {_names(facts['names'])}; those of {facts['taken']} are used "
-        "for all plates. Give all files the same."
-    )
-
-
 def _list_over_noise(facts: Facts) -> str:
     return (
         f"{facts['plate']}: the misfit is {significant(facts['times'], 2)} times the stated noise, by which "
         "it was widened"
     ) + (_explained(facts) or ": check this list, its edges and masses.")
-
-
-def _rough_evidences(facts: Facts) -> str:
-    return f"Log evidences are known only to {significant(facts['error'], 2)}: probabilities are rough."
 
 
 # Of stacking sequences.
@@ -423,24 +356,6 @@ def _check_layup(facts: Facts) -> str:
     return f"{missing}Check the list, the plate and the bounds, or `diagnose` a layup that you believe in."
 
 
-def _no_sequence_explains(facts: Facts) -> str:
-    return (
-        "No sequence explains the list: noise as stated leaves residuals as large as those of the best one "
-        f"with probability {facts['p']:.1g}. {_check_layup(facts)}"
-    )
-
-
-def _frequencies_without_mode(facts: Facts) -> str:
-    return (
-        f"{facts['alone']} of the {facts['of']} frequencies match no mode of the most probable sequence. "
-        f"{_check_layup(facts)}"
-    )
-
-
-def _sequence_noise(facts: Facts) -> str:
-    return f"No sequence fits the list better than {_percent(facts['noise'])}. {_check_layup(facts)}"
-
-
 def _sequence_at_bounds(facts: Facts) -> str:
     ends = [f"{user_name(name)} at its {which} bound" for name, which in facts["bounds"]]
     return f"The most probable sequence puts {_names(ends)}."
@@ -449,20 +364,6 @@ def _sequence_at_bounds(facts: Facts) -> str:
 def _chains_of(facts: Facts) -> str:
     number = facts["number"]
     return "The chains of the given sequence" if number is None else f"The chains of sequence {number}"
-
-
-def _sequence_chains(facts: Facts) -> str:
-    return (
-        f"{_chains_of(facts)} have not converged: R-hat {facts['r_hat']:.3f}, {facts['ess_bulk']:.0f} "
-        "effective samples."
-    )
-
-
-def _sequence_disagrees(facts: Facts) -> str:
-    return (
-        f"{_chains_of(facts)} and importance sampling differ by {facts['z']:.1f} standard errors in a mean "
-        "or an sd."
-    )
 
 
 def _one_layup_taken(facts: Facts) -> str:
@@ -477,62 +378,13 @@ def _one_layup_taken(facts: Facts) -> str:
 
 
 def _level(facts: Facts) -> str:
-    percent = f"{round(100.0 * facts['level'], 10):g} %"
+    percent = _short_percent(facts["level"])
     if facts["reading"] == "rms":
         return f"{percent} of the rms frequency ({significant(facts['noise_sd'], 3)} Hz for all modes)"
     return f"{percent} of each frequency"
 
 
-def _misfit_beside_noise(facts: Facts) -> str:
-    return (
-        f"Without added noise the plate model misses this list by {_percent(facts['misfit'])} (rms), more "
-        f"than the noise of {round(100.0 * facts['level'], 10):g} %. --list model studies the noise alone."
-    )
-
-
-def _constants_not_found_again(facts: Facts) -> str:
-    names = _names(facts["names"])
-    return f"Without noise the swarm did not quite return to {names}: other constants fit nearly as well."
-
-
-def _inversions_missed(facts: Facts) -> str:
-    return (
-        f"{_level(facts)}: on {facts['count']} of {facts['of']} lists no swarm fitted as well as the "
-        "constants found without noise."
-    )
-
-
-def _noise_chains(facts: Facts) -> str:
-    return (
-        f"{_level(facts)}: the posterior's chains did not converge within their budget "
-        f"({facts['ess_bulk']:.0f} effective samples)."
-    )
-
-
-def _noise_posterior_cut(facts: Facts) -> str:
-    return f"{_level(facts)}: the posterior is cut by the constraint {_constraint(facts)}"
-
-
-def _noise_swarms(facts: Facts) -> str:
-    return f"{_level(facts)}: {facts['count']} of {facts['of']} swarms did not converge within their budget."
-
-
-def _noise_redrawn(facts: Facts) -> str:
-    return (
-        f"{_level(facts)}: {facts['count']} noisy frequencies were not positive and were drawn again, so the "
-        "noise is not quite Gaussian."
-    )
-
-
 # Of the paper, batches, predictions.
-
-
-def _unconverged_tasks(facts: Facts) -> str:
-    return f"Chains that have not converged: {'; '.join(facts['titles'])}."
-
-
-def _tasks_of_one_swarm(facts: Facts) -> str:
-    return f"The best fit was found by one swarm only: {'; '.join(facts['titles'])}."
 
 
 def _failed_plates(facts: Facts) -> str:
@@ -577,15 +429,6 @@ def _other_constants(facts: Facts) -> str:
 # Of measured responses.
 
 
-def _hum(facts: Facts) -> str:
-    mains = facts["mains"]
-    return (
-        f"The record ends in a steady tone of the mains, {mains:g} Hz or a multiple, of "
-        f"{_percent(facts['size'])} of its largest value, which hides weak modes. Earth the sensor, keep "
-        "cables away from mains, or use a battery."
-    )
-
-
 def _no_poles(facts: Facts) -> str:
     low, high = facts["range"]
     peaks = facts["peaks"]
@@ -593,13 +436,6 @@ def _no_poles(facts: Facts) -> str:
     return (
         f"No mode found from {low:.4g} to {high:.4g} Hz, where the responses {seen}. Widen --range, raise "
         "--order, or look at the responses."
-    )
-
-
-def _peaks_without_pole(facts: Facts) -> str:
-    return (
-        f"Peaks without a mode: {_hz(facts['peaks'])}. They are modes that were not found, or steady tones "
-        "such as hum: look at the stability diagram and try another --order."
     )
 
 
@@ -611,38 +447,17 @@ def _close_poles(facts: Facts) -> str:
     )
 
 
-def _drifting_modes(facts: Facts) -> str:
-    return (
-        f"Modes that differ by more than {_percent(facts['limit'])} from hit to hit: "
-        f"{_hz(facts['frequencies'])}. A loose clamp, a plate that warms up or too hard hits do that."
-    )
-
-
-def _unlike_hit(facts: Facts) -> str:
-    return (
-        f"All frequencies of hit {facts['hit']} differ from those of the other hits, by "
-        f"{_percent(facts['shift'])}. Was the plate moved, or something on it? Leave that hit out."
-    )
-
-
 def _hits_apart(facts: Facts) -> str:
     one = len(facts["hits"]) == 1
     return (
-        f"{_hits(facts).capitalize()} of {facts['of']} {'has' if one else 'have'} few of the modes. "
+        f"{_hits(facts['hits']).capitalize()} of {facts['of']} {'has' if one else 'have'} few of the modes. "
         f"{'Is it' if one else 'Are they all'} of this plate, held as in the others? Leave out what is not."
     )
 
 
-def _hits(facts: Facts) -> str:
-    numbers = listed([str(number) for number in facts["hits"]], "and")
-    return f"hit {numbers}" if len(facts["hits"]) == 1 else f"hits {numbers}"
-
-
-def _double_hits(facts: Facts) -> str:
-    return (
-        f"The hammer struck twice in {_hits(facts)} of {facts['of']}, which makes ripples that look like "
-        "modes. Of free decays what follows the last stroke was used; hit these again."
-    )
+def _hits(numbers: Sequence[int]) -> str:
+    said = _names(str(number) for number in numbers)
+    return f"hit {said}" if len(numbers) == 1 else f"hits {said}"
 
 
 def _short_hits(facts: Facts) -> str:
@@ -659,33 +474,6 @@ def _silent_channels(facts: Facts) -> str:
     return f"{are} constant or noise alone: is a sensor connected there? Channels with modes are used."
 
 
-def _ringing_sensor(facts: Facts) -> str:
-    return (
-        f"{_percent(facts['share'])} of the power of channel {facts['channel']} is a tone at "
-        f"{facts['frequency']:.4g} Hz, beyond the range: a sensor or its mount that rings. Fix it "
-        "better, and keep records far below full scale."
-    )
-
-
-def _left_out_peaks(facts: Facts) -> str:
-    return (
-        f"Peaks without a mode of the model that stand out as modes do: {_hz(facts['peaks'])}. The plate may "
-        "have what its file lacks: an accelerometer, a clamp that gives. State it, or ask `diagnose`."
-    )
-
-
-def _clipped_files(facts: Facts) -> str:
-    return f"Clipped and not used: {', '.join(facts['files'])}. Lower the gain and hit again."
-
-
-def _repeated_files(facts: Facts) -> str:
-    return f"Given twice, or the same as another file, and counted once: {', '.join(facts['files'])}."
-
-
-def _poor_poles(facts: Facts) -> str:
-    return f"A standard deviation above {100.0 * facts['limit']:g} %: {_hz(facts['frequencies'])}."
-
-
 # Of the time limit.
 
 
@@ -694,38 +482,72 @@ def _time_up(facts: Facts) -> str:
     return f"The time limit of {facts['seconds']:g} s ended the work early: {missing}."
 
 
-def _cut_hypotheses(facts: Facts) -> str:
-    return f"{facts['count']} hypotheses were not tested, of {', '.join(facts['causes'])}"
+_WAYS: Final[Mapping[str, Callable[[Any], str]]] = {
+    "Hz": _hz,
+    "all": _names,
+    "commas": ", ".join,
+    "constraint": _constraint,
+    "hits": _hits,
+    "percent": _percent,
+    "semicolons": "; ".join,
+    "sentence": capitalised,
+    "short percent": _short_percent,
+    "two digits": lambda value: significant(value, 2),
+    "whole percent": lambda fraction: f"{100.0 * fraction:.0f} %",
+}
+"""How a template writes a fact."""
 
+_PHRASES: Final[Mapping[str, Callable[[Facts], str]]] = {
+    "at_noise": _level,
+    "chains": _chains_of,
+    "check": _check_layup,
+    "of_plate": _of_plate,
+}
+"""Parts of several sentences that need more than one fact."""
 
 SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
-    "as_written": _as_written,
+    "as_written": "{text:sentence}",
     "units": _units,
     "reference_outside": _reference_outside,
     "few_frequencies": _few_frequencies,
     "no_frequency_over": _no_frequency_over,
     "large_stated_noise": _large_stated_noise,
     "equal_lists": _equal_lists,
-    "list_given_twice": _list_given_twice,
+    "list_given_twice": (
+        "The frequencies of {name} are those of {before}, digit by digit. Give the list that was measured "
+        "with the mass."
+    ),
     "axes_exchange": _axes_exchange,
-    "prior_not_fitted": _prior_not_fitted,
-    "prior_not_inverted": _prior_not_inverted,
+    "prior_not_fitted": "The swarm uses only the bounds of {names:all}, not their mean and sd.",
+    "prior_not_inverted": (
+        "The inversions use only the bounds of {names:all}; their mean and sd enter the posterior alone."
+    ),
     "sizes_exact": _sizes_exact,
     "labels_not_used": "Labels and shapes are ignored here: frequencies are paired in their order.",
-    "shape_without_mode": _shape_without_mode,
+    "shape_without_mode": (
+        "The shape at {frequency:.6g} Hz matches no mode (modal assurance at most {assurance:.2f}); the "
+        "frequency is paired by its place in the list."
+    ),
     "shapes_of_several": _shapes_of_several,
     "label_without_mode": _label_without_mode,
-    "other_label": _other_label,
+    "other_label": (
+        "Frequency {frequency} is labelled {given}, and its shape at these constants is rather {found}."
+    ),
     "doubtful_list": _doubtful_list,
     "large_misfit": _large_misfit,
     "misfit_over_noise": _misfit_over_noise,
-    "high_noise": _high_noise,
+    "high_noise": (
+        "The noise inferred from the misfit{of_plate} is {noise:percent} of a frequency, high for a tap "
+        "test: the plate model may lack something, and then the intervals can miss the true constants."
+    ),
     "common_factor": _common_factor,
     "search_model": _search_model,
     "poor_fit": _poor_fit,
-    "optimum_on_constraint": _optimum_on_constraint,
-    "cut_posterior": _cut_posterior,
-    "solver_error": _solver_error,
+    "optimum_on_constraint": "The best constants lie on the constraint {constraint:constraint}",
+    "cut_posterior": "The posterior is cut by the constraint {constraint:constraint}",
+    "solver_error": (
+        "The solver's error reaches {error:percent} of a frequency (mode {mode}), which is not small here."
+    ),
     "soft_core": _soft_core,
     "swarms_disagree": (
         "Only one swarm found the best fit: there may be a better one. Allow more swarms, or narrow the "
@@ -738,18 +560,27 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
         "The chains used their budget of {steps} steps before they converged (R-hat {r_hat:.3f}, "
         "{ess_bulk:.0f} effective samples): do not rely on means and intervals. Allow more steps."
     ),
-    "narrow_basis": _narrow_basis,
+    "narrow_basis": (
+        "The chains ran on a small basis, and by the whole one their draws are worth {fraction:percent}: "
+        "means and intervals can be off. State the repeatability, for which the basis is then made."
+    ),
     "unexplained_residuals": (
         "The residuals are larger than the stated noise explains (p = {p:.3f}): the plate model lacks "
         "something, or the noise is larger."
     ),
     "unexplained_by_none": _unexplained_by_none,
     "unexplained_by_claim": "The claimed cause does not explain all of the residuals (p = {p:.2g}).",
-    "single_frequencies": _single_frequencies,
+    "single_frequencies": (
+        "Single frequencies decide the claim: it holds in {stable:whole percent} of the cases when one is "
+        "left out."
+    ),
     "several_optima": _several_optima,
-    "differing_priors": _differing_priors,
+    "differing_priors": (
+        "The files give different priors of {names:all}; those of {taken} are used for all plates. Give all "
+        "files the same."
+    ),
     "list_over_noise": _list_over_noise,
-    "rough_evidences": _rough_evidences,
+    "rough_evidences": "Log evidences are known only to {error:two digits}: probabilities are rough.",
     "rough_surrogate": (
         "The log evidence of the surrogate is {rms:.2f} off (rms): the size of the credible set and the "
         "marginals are rough. The listed sequences are computed without it."
@@ -763,30 +594,50 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
         "The log evidence of {count} listed sequences is uncertain by up to {error:.2f}, the first of them "
         "number {first}."
     ),
-    "no_sequence_explains": _no_sequence_explains,
-    "frequencies_without_mode": _frequencies_without_mode,
-    "sequence_noise": _sequence_noise,
+    "no_sequence_explains": (
+        "No sequence explains the list: noise as stated leaves residuals as large as those of the best one "
+        "with probability {p:.1g}. {check}"
+    ),
+    "frequencies_without_mode": (
+        "{alone} of the {of} frequencies match no mode of the most probable sequence. {check}"
+    ),
+    "sequence_noise": "No sequence fits the list better than {noise:percent}. {check}",
     "sequence_at_bounds": _sequence_at_bounds,
-    "sequence_chains": _sequence_chains,
-    "sequence_disagrees": _sequence_disagrees,
+    "sequence_chains": "{chains} have not converged: R-hat {r_hat:.3f}, {ess_bulk:.0f} effective samples.",
+    "sequence_disagrees": (
+        "{chains} and importance sampling differ by {z:.1f} standard errors in a mean or an sd."
+    ),
     "one_layup_taken": _one_layup_taken,
-    "misfit_beside_noise": _misfit_beside_noise,
-    "constants_not_found_again": _constants_not_found_again,
+    "misfit_beside_noise": (
+        "Without added noise the plate model misses this list by {misfit:percent} (rms), more than the "
+        "noise of {level:short percent}. --list model studies the noise alone."
+    ),
+    "constants_not_found_again": (
+        "Without noise the swarm did not quite return to {names:all}: other constants fit nearly as well."
+    ),
     "swarms_in_worse_optima": (
         "Without noise only {found} of {of} swarms found the best constants: a single swarm often misses "
         "them."
     ),
-    "inversions_missed": _inversions_missed,
-    "noise_chains": _noise_chains,
-    "noise_posterior_cut": _noise_posterior_cut,
-    "noise_swarms": _noise_swarms,
-    "noise_redrawn": _noise_redrawn,
+    "inversions_missed": (
+        "{at_noise}: on {count} of {of} lists no swarm fitted as well as the constants found without noise."
+    ),
+    "noise_chains": (
+        "{at_noise}: the posterior's chains did not converge within their budget ({ess_bulk:.0f} effective "
+        "samples)."
+    ),
+    "noise_posterior_cut": "{at_noise}: the posterior is cut by the constraint {constraint:constraint}",
+    "noise_swarms": "{at_noise}: {count} of {of} swarms did not converge within their budget.",
+    "noise_redrawn": (
+        "{at_noise}: {count} noisy frequencies were not positive and were drawn again, so the noise is not "
+        "quite Gaussian."
+    ),
     "quick": (
         "Do not quote these numbers: --quick takes small swarms and linearised intervals, and leaves out "
         "finite elements and searches of angles."
     ),
-    "unconverged_tasks": _unconverged_tasks,
-    "tasks_of_one_swarm": _tasks_of_one_swarm,
+    "unconverged_tasks": "Chains that have not converged: {titles:semicolons}.",
+    "tasks_of_one_swarm": "The best fit was found by one swarm only: {titles:semicolons}.",
     "failed_plates": _failed_plates,
     "mixed_materials": (
         "The plates are of several materials: means and control limits are those of a mixture."
@@ -799,7 +650,11 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     ),
     "other_sizes": _other_sizes,
     "other_constants": _other_constants,
-    "hum": _hum,
+    "hum": (
+        "The record ends in a steady tone of the mains, {mains:g} Hz or a multiple, of {size:percent} of "
+        "its largest value, which hides weak modes. Earth the sensor, keep cables away from mains, or use a "
+        "battery."
+    ),
     "modes_beyond_range": (
         "The responses stand above their noise up to {frequency:.4g} Hz: modes beyond the range are not "
         "looked for."
@@ -809,25 +664,43 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
         "or hum. Widen --range to include it."
     ),
     "no_poles": _no_poles,
-    "peaks_without_pole": _peaks_without_pole,
+    "peaks_without_pole": (
+        "Peaks without a mode: {peaks:Hz}. They are modes that were not found, or steady tones such as hum: "
+        "look at the stability diagram and try another --order."
+    ),
     "close_poles": _close_poles,
-    "poor_poles": _poor_poles,
-    "drifting_modes": _drifting_modes,
-    "unlike_hit": _unlike_hit,
+    "poor_poles": "A standard deviation above {limit:short percent}: {frequencies:Hz}.",
+    "drifting_modes": (
+        "Modes that differ by more than {limit:percent} from hit to hit: {frequencies:Hz}. A loose clamp, a "
+        "plate that warms up or too hard hits do that."
+    ),
+    "unlike_hit": (
+        "All frequencies of hit {hit} differ from those of the other hits, by {shift:percent}. Was the "
+        "plate moved, or something on it? Leave that hit out."
+    ),
     "hits_apart": _hits_apart,
-    "double_hits": _double_hits,
+    "double_hits": (
+        "The hammer struck twice in {hits:hits} of {of}, which makes ripples that look like modes. Of free "
+        "decays what follows the last stroke was used; hit these again."
+    ),
     "short_hits": _short_hits,
-    "ringing_sensor": _ringing_sensor,
+    "ringing_sensor": (
+        "{share:percent} of the power of channel {channel} is a tone at {frequency:.4g} Hz, beyond the "
+        "range: a sensor or its mount that rings. Fix it better, and keep records far below full scale."
+    ),
     "silent_channels": _silent_channels,
-    "left_out_peaks": _left_out_peaks,
-    "clipped_files": _clipped_files,
-    "repeated_files": _repeated_files,
+    "left_out_peaks": (
+        "Peaks without a mode of the model that stand out as modes do: {peaks:Hz}. The plate may have what "
+        "its file lacks: an accelerometer, a clamp that gives. State it, or ask `diagnose`."
+    ),
+    "clipped_files": "Clipped and not used: {files:commas}. Lower the gain and hit again.",
+    "repeated_files": "Given twice, or the same as another file, and counted once: {files:commas}.",
     "time_up": _time_up,
     # what is missing, as a part of the sentence above
     "cut_swarm": "a swarm ended after {done} of {of} iterations",
     "cut_swarms": "{done} of at least {of} swarms ran",
     "cut_chains": "emcee ended after {done} of at most {of} steps",
-    "cut_hypotheses": _cut_hypotheses,
+    "cut_hypotheses": "{count} hypotheses were not tested, of {causes:commas}",
     "cut_sets": "not all causes that may act at once were tested together",
     "cut_list_errors": "errors of the lists were not tested together with causes of the plates",
     "cut_leftovers": "nothing that is left over beside a cause was looked at",
