@@ -1,7 +1,5 @@
 """A small answer of every command, computed once in a run for all tests of screens, figures and pages."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from collections.abc import Callable

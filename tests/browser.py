@@ -3,8 +3,6 @@
 The messages are those of the DevTools protocol, each ended by a zero byte.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import os

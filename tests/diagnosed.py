@@ -1,7 +1,5 @@
 """Diagnoses whose truth is known, of hypotheses that need no further plate model."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """How much work something is, in units that no other process of the machine changes."""
 
-from __future__ import annotations
-
 import sys
 import tracemalloc
 from collections.abc import Callable, Iterator

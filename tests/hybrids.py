@@ -1,7 +1,5 @@
 """Hybrid plates of the tests: carbon over glass, and sandwiches."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Tables of three modes as laboratories write them: a row a hit, a column a hit, sheets of a workbook."""
 
-from __future__ import annotations
-
 import io
 from typing import Any
 

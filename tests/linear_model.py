@@ -1,7 +1,5 @@
 """A forward model whose posterior is known in closed form."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

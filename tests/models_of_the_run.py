@@ -1,7 +1,5 @@
 """Plate models, of which each is made once in a run of all tests."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import pickle

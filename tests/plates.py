@@ -1,7 +1,5 @@
 """Plates built by hand for tests, without a plate file."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

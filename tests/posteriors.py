@@ -1,7 +1,5 @@
 """Posterior files with draws that are known."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

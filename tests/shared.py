@@ -1,7 +1,5 @@
 """What many tests need and takes long is computed once in a run, whichever process of it asks first."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import pickle

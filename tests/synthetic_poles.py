@@ -1,7 +1,5 @@
 """Frequency responses of known poles, some of them close together, with noise."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Benchmarks run small, on what is installed with the package alone, and give what their README says."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A time limit ends work with the best answer so far, which says first what is missing."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from itertools import count

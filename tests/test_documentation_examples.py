@@ -1,7 +1,5 @@
 """The examples of the documentation run, and print and give what stands beside them."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

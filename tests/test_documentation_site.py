@@ -1,7 +1,5 @@
 """The site of the documentation: every page in its place, every public name, nothing from a network."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Every command's document has a schema, which the documentation holds and every document follows."""
 
-from __future__ import annotations
-
 import argparse
 import copy
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Figures: drawn from saved results, with captions, legible in print, the same bytes each time."""
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import re

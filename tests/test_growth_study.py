@@ -1,7 +1,5 @@
 """The study of growth: exponents, where a curve ends, and the model of a thousand plates."""
 
-from __future__ import annotations
-
 import itertools
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """The library as a Python caller sees it: the same answers, refusals and warnings as the commands give."""
 
-from __future__ import annotations
-
 import ast
 import doctest
 import inspect

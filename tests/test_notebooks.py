@@ -1,7 +1,5 @@
 """Notebooks are saved with their results, and run from the first cell to the last."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 from types import ModuleType

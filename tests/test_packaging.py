@@ -1,7 +1,5 @@
 """What stands in several places says the same: version, dependencies, workflows, links."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Pages say what the saved results say: every generated section is written anew and compared."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files that are whole or not there: drafts, sealed files, the place of the cache."""
 
-from __future__ import annotations
-
 import io
 import os
 import pickle

@@ -1,7 +1,5 @@
 """Studies keep working: small runs, saved results, and the list of them."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import re

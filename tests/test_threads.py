@@ -1,7 +1,5 @@
 """BLAS is held to one thread for as long as anybody needs it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier, Event, current_thread

@@ -1,7 +1,5 @@
 """Nothing that Windows lacks is needed: the commands run, and end, where its names are taken away."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

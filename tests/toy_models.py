@@ -1,7 +1,5 @@
 """Forward models of a few lines, for posteriors that can be integrated by hand or by quadrature."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Universal files as their documentation lays them out, written line by line and not by a library."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Simulated aluminium plates for batches, quick to identify."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

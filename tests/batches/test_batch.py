@@ -1,7 +1,5 @@
 """Many plates: the same constants by shared models, failures that stop nothing, limits, charts, stores."""
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import replace

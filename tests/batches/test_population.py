@@ -1,7 +1,5 @@
 """Mean and scatter of a batch: Gaussian integrals, a posterior on a grid, a simulated truth, refusals."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What is read off weighed hypotheses: other priors, constants, p-values and what lists would have shown."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Which hypotheses plates have and how probable each is, how a list is paired, and the models they need."""
 
-from __future__ import annotations
-
 from collections import OrderedDict, defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace

@@ -3,8 +3,6 @@
 The numbers of the rules stand in these lists again and are not imported: a changed rule fails.
 """
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The model of a hypothesis: effects put together, several plates, lists with slips, and derivatives."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """From plates to an answer: claim, extended fit by importance sampling and by emcee, and gain."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

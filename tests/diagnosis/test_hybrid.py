@@ -1,7 +1,5 @@
 """What is wrong with a plate of two materials is found as on a plate of one."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

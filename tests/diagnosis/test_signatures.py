@@ -1,7 +1,5 @@
 """Signatures: what the constants imitate, what is left, and which causes look alike."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A weighed plate that is thinner than stated, and what the commands say of sizes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

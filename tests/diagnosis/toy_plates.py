@@ -1,7 +1,5 @@
 """Plates of a few lines for the tests of the diagnosis: their evidences are known in closed form."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations

@@ -1,7 +1,5 @@
 """Plates with effects on Ritz and on finite elements, as the tests of effects need them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache

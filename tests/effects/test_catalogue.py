@@ -4,8 +4,6 @@ Every test of a ``plate`` and an ``effect``, or of an ``effect`` alone, holds fo
 catalogue too: test_foam.py calls them for one.
 """
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 from functools import lru_cache, partial

@@ -1,7 +1,5 @@
 """A new effect is one record and one line: a foam strip under an edge, which no file of the package knows."""
 
-from __future__ import annotations
-
 import inspect
 import json
 from collections.abc import Callable

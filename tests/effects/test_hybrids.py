@@ -1,7 +1,5 @@
 """Effects on plates of several materials: what acts on one material of a plain plate acts on each."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

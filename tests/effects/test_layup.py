@@ -1,7 +1,5 @@
 """Layups one step from the stated one: which there are, and what plates laid up so do."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Nothing outside cpam_bayes/effects knows an effect, a parameter of one, or a family by its name."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A missing corner: a shortened beam, independent elements, the corners that look alike, and its mass."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Effects against closed forms, against other descriptions of the same plate, and against quadrature."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

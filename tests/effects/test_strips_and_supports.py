@@ -1,7 +1,5 @@
 """Strips of mass on edges, pads under a plate, soft supports: closed forms, and independent elements."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

@@ -1,7 +1,5 @@
 """Length and width exchanged: the plate that it gives, and the plates that do not have it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plates on finite elements: an error estimate that holds, meshes that are weighed and covered."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

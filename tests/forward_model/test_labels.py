@@ -1,7 +1,5 @@
 """Labels and measured shapes say which mode a frequency is, where modes cross and with a probability."""
 
-from __future__ import annotations
-
 import itertools
 import tomllib
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A plate with a point mass or a softer patch anywhere: against the full space and finite elements."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 

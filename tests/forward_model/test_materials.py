@@ -1,7 +1,5 @@
 """Hybrids and plies of any order of moduli against closed forms, other discretisations and bricks."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

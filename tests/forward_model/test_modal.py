@@ -1,7 +1,5 @@
 """A plate on a few of its modes against full models of the same plate with a known mass, a mass, a patch."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The reduced model: its errors, the checks that find them, its derivatives, and how often it is made."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import dataclass, replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Slips that ruin an answer are found, and plates that are as they should be are left alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

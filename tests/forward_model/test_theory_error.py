@@ -1,7 +1,5 @@
 """What the model leaves out: three dimensions beside first-order theory, by rule and on bricks, and air."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A mass that was added to a plate: its shifts against whole models, and what lists say of it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

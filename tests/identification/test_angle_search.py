@@ -1,7 +1,5 @@
 """Constants and angles of a specimen: least squares in stacks, and the swarm against enumeration."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

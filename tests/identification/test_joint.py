@@ -1,7 +1,5 @@
 """Several lists in one identification: what they share, what each has of its own, what is refused."""
 
-from __future__ import annotations
-
 import copy
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Constants of hybrids and of orthotropic plies in any order of moduli, from frequencies of one plate."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """One prior for all verbs: the bounds of [unknowns] times what is known of the references."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Several swarms, polished, and what is said of a constant then; identification by sampling."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

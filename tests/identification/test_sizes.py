@@ -1,7 +1,5 @@
 """What errors of sizes, noise and priors leave open of the constants, by each way of identifying them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Tolerances that the file leaves open: in all verbs the usual ones, and the model that has them."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The worth of a posterior: what determines it, what moves it, and whether it fits its data."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lists that seem to lack a mode, and profile likelihoods."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Gradients and curvatures of log densities, and scores over which priors are standard normal."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Ensembles side by side, in rounds that are stored, until they agree."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Evidence by importance sampling against closed forms and quadrature."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Optima of log densities, and Laplace's approximation about them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

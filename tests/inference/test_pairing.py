@@ -1,7 +1,5 @@
 """Pairing of incomplete lists, against enumeration of every pairing."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Posteriors of plates: noise, priors, pairing, on full and reduced models."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Proposals that cover a density, and what importance sampling by them is worth."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

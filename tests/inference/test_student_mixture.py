@@ -1,7 +1,5 @@
 """Mixtures of Student-t densities, their mass between bounds, and importance sampling by them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from arviz_stats.base import array_stats

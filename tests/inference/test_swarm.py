@@ -1,7 +1,5 @@
 """The particle swarm of the paper, with and without ply angles."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal

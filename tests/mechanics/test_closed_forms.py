@@ -1,7 +1,5 @@
 """The forward solver against closed forms, published values, and what must hold of any plate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The error that is printed beside a frequency: true, and not uselessly large."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache

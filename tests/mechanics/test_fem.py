@@ -1,7 +1,5 @@
 """Finite elements: exact where they must be, convergent at their rate, in agreement with Ritz."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations_with_replacement, product
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Plates with masses at points: against all their matrices at once, and against the plate without masses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

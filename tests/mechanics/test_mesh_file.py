@@ -1,7 +1,5 @@
 """Meshes from files: what is read, and what is said of those that cannot be used."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

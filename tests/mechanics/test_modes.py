@@ -1,7 +1,5 @@
 """Eigenpairs: derivatives, energies, normalisation, rigid-body count, tracking, kinds and labels."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache

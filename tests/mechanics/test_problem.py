@@ -1,7 +1,5 @@
 """The plate as an eigenvalue problem: rigid-body counts, forms, weights, coefficients, dense blocks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

@@ -1,7 +1,5 @@
 """Sparse affine operators against their dense twins, and the eigensolver on hard cases."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The same work on a Dask cluster of this machine: a scheduler and two worker processes."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """Where work is done, and what all items share."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from concurrent.futures import ThreadPoolExecutor

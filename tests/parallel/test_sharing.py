@@ -1,7 +1,5 @@
 """Shared-out work gives what serial work gives, whatever happens to the workers."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import signal

@@ -1,7 +1,5 @@
 """A plate file with every key, and one whose measurement is a table."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

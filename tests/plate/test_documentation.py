@@ -1,7 +1,5 @@
 """docs/plate_file.md has every key of a plate file with its unit, its default and a valid example."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The posterior of a former plate as prior: what is read of it, the density that it becomes, refusals."""
 
-from __future__ import annotations
-
 import copy
 from pathlib import Path
 from typing import Any

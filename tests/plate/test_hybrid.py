@@ -1,7 +1,5 @@
 """Plate files of several materials: what is read, and what is refused."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Laminate stiffness, of one material and of several, and the constants that a symmetry allows."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A table is read as laboratories lay it out, or one message says what to do."""
 
-from __future__ import annotations
-
 import datetime
 import io
 

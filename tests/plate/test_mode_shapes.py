@@ -1,7 +1,5 @@
 """A universal file gives frequencies, damping and shapes on the plate, and errors say what it lacks."""
 
-from __future__ import annotations
-
 import builtins
 import re
 from pathlib import Path

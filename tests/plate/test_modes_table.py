@@ -1,7 +1,5 @@
 """A table of modes is read as instruments and laboratories write it, and errors have their place."""
 
-from __future__ import annotations
-
 import io
 import itertools
 import zipfile

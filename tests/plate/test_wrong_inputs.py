@@ -1,7 +1,5 @@
 """What a new user writes, gives and types is understood, or refused with one message that has the cure."""
 
-from __future__ import annotations
-
 import io
 import re
 from pathlib import Path

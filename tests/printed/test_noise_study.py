@@ -1,7 +1,5 @@
 """The noise study: its tasks against closed forms, and the whole of it on an aluminium plate."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

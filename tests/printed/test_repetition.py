@@ -1,7 +1,5 @@
 """Noise on lists of frequencies, eq. (12), and why repeated inversions and a posterior differ."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

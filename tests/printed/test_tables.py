@@ -1,7 +1,5 @@
 """The fourteen tables as data: as many rows and values as are printed, and every misprint flagged."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """The question `calibrate`: what it asks of a plate, what it says of ranks."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

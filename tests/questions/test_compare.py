@@ -1,7 +1,5 @@
 """Two plates against each other: the differences of their constants and how sure they are."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What a list would say: closed forms, known physics, the swarm's own spread, refusals."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

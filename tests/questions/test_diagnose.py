@@ -1,7 +1,5 @@
 """What a diagnosis says, shows and writes, of lists whose truth is known."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

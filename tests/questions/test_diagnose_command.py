@@ -1,7 +1,5 @@
 """`diagnose` as a user sees it: plates that it takes and refuses, documents, files, progress."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """What every command shows: at most 12 lines and 120 words besides rows asked for, and its figures."""
 
-from __future__ import annotations
-
 from itertools import chain
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A posterior of one list as the prior of another: the answer of both lists together."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`forward` beside a frequency list: by label, by order, and by a factor where units must be wrong."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """`identify` by the swarm: what is determined, what ruins the answer, and what to check first."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """A new plate file is a good one, or says all that it lacks; at a terminal `new` asks, and asks again."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

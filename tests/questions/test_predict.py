@@ -1,7 +1,5 @@
 """Frequencies predicted from a stored posterior: closed forms, the truth, sizes of the plate, bad files."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The question `prove`: what it reads, what it seals, what it says."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import replace

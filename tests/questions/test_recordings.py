@@ -1,7 +1,5 @@
 """Plates are identified from recordings and from tables of peaks: the plate model picks the modes."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import tomllib

@@ -1,7 +1,5 @@
 """`report` as a user sees it: one page of all that is asked of a plate, and the files of its parts."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import partial

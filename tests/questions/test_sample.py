@@ -1,7 +1,5 @@
 """A sampled posterior as screen, document, figures and NetCDF."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

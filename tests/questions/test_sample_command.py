@@ -1,7 +1,5 @@
 """`identify --backend emcee` as a user sees it: noise, sizes, labels, priors, stores and their failures."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
 from pathlib import Path

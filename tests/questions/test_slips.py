@@ -1,7 +1,5 @@
 """Slips of a plate file that explain a gross misfit: named where they do, not where something else does."""
 
-from __future__ import annotations
-
 import functools
 import json
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A quick solution, to be drawn and saved."""
 
-from __future__ import annotations
-
 import pytest
 
 from cpam_bayes.questions.forward import ForwardResult

@@ -1,7 +1,5 @@
 """Documents, CSV files and data frames: nothing that JSON does not know, one declaration of columns."""
 
-from __future__ import annotations
-
 import io
 import json
 import math

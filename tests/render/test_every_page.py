@@ -1,7 +1,5 @@
 """The pages of the commands as a browser shows them: whole, readable, nothing out of reach."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Every notice that the package makes has a sentence, made from the facts that it is given."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

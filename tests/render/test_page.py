@@ -1,7 +1,5 @@
 """One page for every answer: whole in itself, the answer first, for every reader."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from html.parser import HTMLParser

@@ -1,7 +1,5 @@
 """What first screens share: constants, fit, and what intervals contain."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A report on a terminal, in a file and in a pipe."""
 
-from __future__ import annotations
-
 import io
 
 import pytest

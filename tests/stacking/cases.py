@@ -1,7 +1,5 @@
 """Plates with unknown plies: one with all its sequences and the mixture over them, computed once."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One sequence given: importance sampling against known integrals, bases and starts, questions to it."""
 
-from __future__ import annotations
-
 from functools import cache
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Sequences that no frequency can tell apart: which motions count, and the classes that they make."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

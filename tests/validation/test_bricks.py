@@ -1,7 +1,5 @@
 """Plates of bricks with flaws: what stands in their decks, and what CalculiX makes of them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

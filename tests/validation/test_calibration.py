@@ -1,7 +1,5 @@
 """Simulation-based calibration: its statistics, its store, and posteriors that must pass it."""
 
-from __future__ import annotations
-
 import json
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace

@@ -1,7 +1,5 @@
 """The benchmark of claims: lists that hold what they say, scores as a user reads, results that are saved."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 from dataclasses import asdict, replace

@@ -1,7 +1,5 @@
 """Forms of causes on real plates, and what the catalogue's forms miss of them."""
 
-from __future__ import annotations
-
 import math
 import tomllib
 from dataclasses import replace

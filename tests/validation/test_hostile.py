@@ -1,7 +1,5 @@
 """Whatever is written into a file or a layup: a record or one clear refusal, no traceback, no warning."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Second opinions on evidences: nested sampling, and a slow reference of the quick way of the diagnosis."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

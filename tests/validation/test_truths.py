@@ -1,7 +1,5 @@
 """Truths of benchmarks are right, have causes as in the catalogue and share no physics with the package."""
 
-from __future__ import annotations
-
 import ast
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The page's server: what it answers, what it refuses, what it keeps."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -1,7 +1,5 @@
 """A visit in a browser: a plate typed, its list pasted; a claim seen, applied, saved and reported."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal

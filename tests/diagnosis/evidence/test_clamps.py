@@ -1,7 +1,5 @@
 """A clamp that hardly gives is weighed, not given up: the median of its prior would be a gross error."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

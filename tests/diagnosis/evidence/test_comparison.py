@@ -1,7 +1,5 @@
 """A model against a list: likelihood, gradient and curvature over scores."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

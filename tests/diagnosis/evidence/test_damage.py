@@ -1,7 +1,5 @@
 """The marginal likelihood of a damage anywhere: lists of C1 that hide one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Marginal likelihoods against closed forms and fine quadrature."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Incomplete lists: evidences are sums over pairings, against all pairings in closed form."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations

@@ -1,7 +1,5 @@
 """Importance sampling on models that are projected once more: the same answer from fewer vectors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Importance sampling of a hypothesis against emcee on the same density, and against a closed form."""
 
-from __future__ import annotations
-
 import emcee
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Work on hypotheses: the same on any executor, with the models of this process in every answer."""
 
-from __future__ import annotations
-
 import pickle
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace

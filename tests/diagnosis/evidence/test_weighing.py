@@ -1,7 +1,5 @@
 """Hypotheses weighed on plates whose evidences are known in closed form."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations

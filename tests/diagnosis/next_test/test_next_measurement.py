@@ -1,7 +1,5 @@
 """Which test tells causes apart: mutual information against quadrature, and predicted data."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The question `paper`: what is computed, stored, shown and written."""
 
-from __future__ import annotations
-
 import codecs
 import csv
 import importlib.util

@@ -1,7 +1,5 @@
 """Verdicts on printed values, from computed ones that are made up."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Hadamard's conditions made concrete: against closed forms."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
