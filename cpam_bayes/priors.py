@@ -1,16 +1,16 @@
 """Prior densities of one parameter: uniform, log-uniform, normal, log-normal, Student-t, mixtures of two.
 
-A new kind is one class on `_Density`: other modules use a prior's methods and never ask for its class.
+A new kind is one subclass of `Prior`: other modules use a prior's methods and never ask for its class.
 """
 
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,120 +38,56 @@ class PriorNumbers:
     upper: float
 
 
-class Prior(Protocol):
-    """A normalised density on [lower, upper]."""
+class Prior(ABC):
+    """A normalised density on [lower, upper].
 
-    @property
-    def kind(self) -> str:
-        """Kind of density, in words."""
-        ...
-
-    @property
-    def is_range(self) -> bool:
-        """Whether nothing but the bounds is known."""
-        ...
-
-    @property
-    def lower(self) -> float:
-        """Smallest value."""
-        ...
-
-    @property
-    def upper(self) -> float:
-        """Largest value."""
-        ...
-
-    @property
-    def mean(self) -> float:
-        """Mean within the bounds."""
-        ...
-
-    @property
-    def sd(self) -> float:
-        """Standard deviation within the bounds."""
-        ...
-
-    @property
-    def typical(self) -> float:
-        """The size of an effect of this prior: one scale of a density about zero, else the mean."""
-        ...
-
-    @property
-    def parts(self) -> tuple[tuple[float, Prior], ...]:
-        """The densities that it is a sum of, with their fractions; of one density the prior itself."""
-        ...
-
-    def describe(self, in_unit: Callable[[float], float] = float) -> PriorNumbers:
-        """Its kind and numbers, each passed through ``in_unit``, a conversion by a factor."""
-        ...
-
-    def rescaled(self, factor: float) -> Prior:
-        """The prior with its scale multiplied and its bounds kept; one without a scale as it is.
-
-        Of a mixture the narrow part is rescaled.
-        """
-        ...
-
-    def stretched(self, factor: float) -> Prior:
-        """The prior of ``factor`` times the quantity, bounds and all."""
-        ...
-
-    def log_density(self, x: ArrayLike) -> Floats:
-        """Log density of x, (...) -> (...), -inf outside the bounds and at NaN."""
-        ...
-
-    def sample(self, rng: np.random.Generator, size: int) -> Floats:
-        """Independent draws, (size,)."""
-        ...
-
-    def cdf(self, x: ArrayLike) -> Floats:
-        """Distribution function F at x, (...) -> (...)."""
-        ...
-
-    def ppf(self, p: ArrayLike) -> Floats:
-        """Quantiles, the inverse of F, at p in [0, 1], (...) -> (...)."""
-        ...
-
-    def from_normal(self, z: ArrayLike) -> Floats:
-        """x with F(x) = Phi(z), accurate in both tails, (...) -> (...)."""
-        ...
-
-    def to_normal(self, x: ArrayLike) -> Floats:
-        """z with Phi(z) = F(x), accurate in both tails, infinite on the bounds, (...) -> (...)."""
-        ...
-
-
-class _Density:
-    """A prior that follows from a density's own numbers and its map from standard normal scores."""
+    kind : of density, in words
+    is_range : whether nothing but the bounds is known
+    """
 
     __slots__ = ()
     kind: ClassVar[str]
     is_range: ClassVar[bool] = False
+    lower: float
+    upper: float
 
     @property
-    def typical(self: Prior) -> float:
+    @abstractmethod
+    def mean(self) -> float:
+        """Mean within the bounds."""
+
+    @property
+    @abstractmethod
+    def sd(self) -> float:
+        """Standard deviation within the bounds."""
+
+    @property
+    def typical(self) -> float:
         """The size of an effect of this prior: one scale of a density about zero, else the mean."""
         return self.mean
 
     @property
-    def _before_cut(self: Prior) -> tuple[float | None, float]:
+    def _before_cut(self) -> tuple[float | None, float]:
         """Centre and scale as in `PriorNumbers`."""
         return None, self.sd
 
-    def describe(self: Any, in_unit: Callable[[float], float] = float) -> PriorNumbers:
+    @property
+    def parts(self) -> tuple[tuple[float, Prior], ...]:
+        """The densities that it is a sum of, with their fractions; of one density the prior itself."""
+        return ((1.0, self),)
+
+    def describe(self, in_unit: Callable[[float], float] = float) -> PriorNumbers:
         """Its kind and numbers, each passed through ``in_unit``, a conversion by a factor."""
         centre, scale = self._before_cut
         own = None if centre is None else in_unit(centre)
         numbers = (scale, self.mean, self.sd, self.lower, self.upper)
         return PriorNumbers(self.kind, own, *(in_unit(value) for value in numbers))
 
-    @property
-    def parts(self: Prior) -> tuple[tuple[float, Prior], ...]:
-        """The densities that it is a sum of, with their fractions; of one density the prior itself."""
-        return ((1.0, self),)
+    def rescaled(self, factor: float) -> Prior:
+        """The prior with its scale multiplied and its bounds kept; one without a scale as it is.
 
-    def rescaled(self: Prior, factor: float) -> Prior:
-        """The prior with its scale multiplied and its bounds kept; one without a scale as it is."""
+        Of a mixture the narrow part is rescaled.
+        """
         del factor
         return self
 
@@ -159,8 +95,16 @@ class _Density:
     def stretched(self, factor: float) -> Prior:
         """The prior of ``factor`` times the quantity, bounds and all."""
 
-    def _ends(self: Prior, factor: float) -> dict[str, float]:
+    def _ends(self, factor: float) -> dict[str, float]:
         return {"lower": factor * self.lower, "upper": factor * self.upper}
+
+    @abstractmethod
+    def log_density(self, x: ArrayLike) -> Floats:
+        """Log density of x, (...) -> (...), -inf outside the bounds and at NaN."""
+
+    @abstractmethod
+    def sample(self, rng: np.random.Generator, size: int) -> Floats:
+        """Independent draws, (size,)."""
 
     def cdf(self, x: ArrayLike) -> Floats:
         """Distribution function F at x, (...) -> (...)."""
@@ -180,7 +124,7 @@ class _Density:
 
 
 @dataclass(frozen=True, slots=True)
-class Uniform(_Density):
+class Uniform(Prior):
     """Equal density between two bounds, in the parameter's unit.
 
     raises ValueError when the bounds are not finite or not ascending
@@ -230,13 +174,11 @@ class Uniform(_Density):
         return np.asarray(ndtri((inside - self.lower) / (self.upper - self.lower)))
 
 
-class _Logarithmic(_Density):
+class _Logarithmic(Prior):
     """A density of which that of the logarithm is known."""
 
     __slots__ = ("_known_logarithm",)
     _known_logarithm: Uniform | TruncatedNormal
-    lower: float
-    upper: float
 
     @property
     def _of_logarithm(self) -> Uniform | TruncatedNormal:
@@ -310,13 +252,11 @@ class LogUniform(_Logarithmic):
         return np.where(inside, density, -np.inf)
 
 
-class _Truncated(_Density):
+class _Truncated(Prior):
     """A density of location and scale, cut at bounds."""
 
     __slots__ = ("_known_cut",)
     _known_cut: _Cut
-    lower: float
-    upper: float
     scale: float
 
     @property
@@ -600,7 +540,7 @@ class TruncatedLogNormal(_Logarithmic):
 
 
 @dataclass(frozen=True, slots=True)
-class Mixture(_Density):
+class Mixture(Prior):
     """The density (1 - q) p + q p' of two priors between the same finite bounds.
 
     Between the same bounds the density is smooth, and so is the map from standard normal scores.
@@ -614,6 +554,8 @@ class Mixture(_Density):
     narrow: Prior
     wide: Prior
     fraction: float
+    lower: float = field(init=False, repr=False, compare=False)
+    upper: float = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         ends = [(p.lower, p.upper) for p in (self.narrow, self.wide)]
@@ -623,16 +565,8 @@ class Mixture(_Density):
             raise ValueError(
                 f"fraction of a mixture: received {self.fraction}, accepted: above 0 and below 1"
             )
-
-    @property
-    def lower(self) -> float:
-        """Smallest value."""
-        return self.narrow.lower
-
-    @property
-    def upper(self) -> float:
-        """Largest value."""
-        return self.narrow.upper
+        object.__setattr__(self, "lower", self.narrow.lower)
+        object.__setattr__(self, "upper", self.narrow.upper)
 
     @property
     def mean(self) -> float:
