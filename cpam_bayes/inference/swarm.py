@@ -237,11 +237,10 @@ class SwarmResult:
     """Where a swarm ended, and how.
 
     best : (n_constants,) and sequence : (n_plies,) grid indices of the smallest value.
-    personal_bests, personal_sequences, personal_values : each particle's best, the values infinite for a
-    particle that never was feasible.
+    personal_bests, personal_values : each particle's best, the values infinite for a particle that never was
+    feasible.
     iterations : done after the start.
     evaluations : forward solves; infeasible particles cost none.
-    agreeing : particles whose best is the leader's, to the tolerance.
     history : (iterations + 1,) best value so far.
     message : the status in words.
     """
@@ -250,11 +249,9 @@ class SwarmResult:
     sequence: IndexArray
     value: float
     personal_bests: FloatArray = field(repr=False)
-    personal_sequences: IndexArray = field(repr=False)
     personal_values: FloatArray = field(repr=False)
     iterations: int
     evaluations: int
-    agreeing: int
     status: Status
     history: FloatArray = field(repr=False)
     message: str
@@ -425,23 +422,20 @@ def _agreeing(problem: SwarmProblem, state: SwarmState, settings: SwarmSettings)
 def _result(problem: SwarmProblem, state: SwarmState, settings: SwarmSettings, status: Status) -> SwarmResult:
     iterations = len(state.history) - 1
     sequences = decode(state.best_memberships)
-    agreeing = _agreeing(problem, state, settings)
     text = TEXTS[f"fuzzy {status}" if problem.n_plies else status]
     return SwarmResult(
         best=_read_only(state.personal_bests[state.leader]),
         sequence=_read_only(sequences[state.leader]),
         value=state.history[-1],
         personal_bests=_read_only(state.personal_bests),
-        personal_sequences=_read_only(sequences),
         personal_values=_read_only(state.personal_values),
         iterations=iterations,
         evaluations=state.evaluations,
-        agreeing=agreeing,
         status=status,
         history=_read_only(np.array(state.history)),
         message=text.format(
             iterations=iterations,
-            agreeing=agreeing,
+            agreeing=_agreeing(problem, state, settings),
             particles=len(state.personal_values),
             spread=swarm_spread(problem, state),
         ),

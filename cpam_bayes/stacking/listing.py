@@ -588,7 +588,6 @@ def combined_posterior(
             effective=float(1.0 / np.sum(draw_weight**2) / len(draw_weight)),
             fitted=len(listed.size),
             sampled=int(listed.sampled.sum()),
-            surrogate_probability=rest_mass / total,
         ),
         basis_error=basis_error_at(
             trained.focused, problem.grid_deg, drawn, rng.permutation(len(drawn.sequences))

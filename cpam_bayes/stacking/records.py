@@ -124,7 +124,6 @@ class SurrogateCheck:
     effective : fraction of the draws that count.
     fitted : classes fitted one by one.
     sampled : classes of these whose evidence was sampled.
-    surrogate_probability : of all sequences known from the surrogate alone.
     """
 
     training_size: int
@@ -135,7 +134,6 @@ class SurrogateCheck:
     effective: float
     fitted: int
     sampled: int
-    surrogate_probability: float
 
 
 @dataclass(frozen=True, slots=True)

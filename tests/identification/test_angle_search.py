@@ -190,7 +190,7 @@ def test_swarms_of_several_seeds_are_the_swarms_of_each(fit: AngleSearchProblem)
     for seed, result in zip((3, 1), run_swarms(fit, (3, 1), settings), strict=True):
         alone = run_swarm(fit, seed, settings)
         assert_array_equal(result.history, alone.history)
-        assert_array_equal(result.personal_sequences, alone.personal_sequences)
+        assert_array_equal(result.sequence, alone.sequence)
 
 
 def test_relative_residuals_weigh_modes_by_their_frequency(fit: AngleSearchProblem) -> None:

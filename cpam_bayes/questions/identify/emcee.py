@@ -42,7 +42,7 @@ from cpam_bayes.inference.assessment import (
     predictive_p_value,
     thinned,
 )
-from cpam_bayes.inference.completeness import TranscriptionError, transcription_error
+from cpam_bayes.inference.completeness import transcription_error
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, Diagnostics, EnsembleResult, EnsembleSettings
 from cpam_bayes.inference.pairing import Pairing
 from cpam_bayes.inference.posterior import NOISE_NAMES, Likelihood, Posterior
@@ -123,7 +123,6 @@ class SampledResult(PlateResult):
         modes that have a frequency
     scale_errors : what errors of sizes, mass and frequency scale do to the constants
     reliances : intervals that rest on the bounds or the prior of another constant
-    doubt : a pairing of a complete list that is far more probable than one to one
     evidence : by importance sampling
     assessment : what determines the posterior and how it fits
     result : chains and diagnostics of the ensembles
@@ -150,7 +149,6 @@ class SampledResult(PlateResult):
     error: Array
     scale_errors: tuple[ScaleError, ...]
     reliances: tuple[Reliance, ...]
-    doubt: TranscriptionError | None
     evidence: Evidence
     assessment: Assessment
     result: EnsembleResult
@@ -405,7 +403,6 @@ def _summarise(
         error=(discretisation_error(model.full, best[:n]) + by_basis)[paired],
         scale_errors=_scale_errors(specimen, posterior, model, best, pairing, order),
         reliances=relied_on,
-        doubt=doubt,
         evidence=evidence,
         assessment=assess(posterior, result, pairing, specimen.unknowns.names),
         result=result,
