@@ -49,9 +49,9 @@ def each_once(notices: Iterable[Notice]) -> tuple[Notice, ...]:
     return tuple(found)
 
 
-def as_written(texts: Iterable[str], severity: Severity = "warning") -> tuple[Notice, ...]:
+def as_written(texts: Iterable[str]) -> tuple[Notice, ...]:
     """Sentences of a reader of files as notices."""
-    return tuple(Notice("as_written", severity, {"text": text}) for text in texts)
+    return tuple(Notice("as_written", facts={"text": text}) for text in texts)
 
 
 @dataclass(frozen=True, slots=True)

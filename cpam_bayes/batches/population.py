@@ -10,7 +10,7 @@ e = mu - at, r = g - F e, T = diag(tau^2): Gaussian integrals (Gelman et al., Ba
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -128,9 +128,7 @@ def batch_posterior(
 
 
 @single_blas_thread
-def population_of(
-    rows: Sequence[PlateRow], seed: int, progress: Callable[[Diagnostics], None] = lambda diagnostics: None
-) -> Population:
+def population_of(rows: Sequence[PlateRow], seed: int) -> Population:
     """Means and scatters of the plates of one material that have an answer.
 
     raises ValueError for fewer than three plates, several materials or different unknowns
@@ -151,7 +149,7 @@ def population_of(
         if all(k < len(row.constants) for row in done)
     ]
     density = batch_posterior(likelihoods, bounds)
-    result = sample_density(density, _start(density, seed), seed, _SETTINGS, progress=progress)
+    result = sample_density(density, _start(density, seed), seed, _SETTINGS)
     n = len(density.scale)
     draws = result.draws * np.concatenate((density.scale, np.ones(n)))
     rng = np.random.default_rng([seed, 11])

@@ -355,9 +355,9 @@ def anywhere(problem: Problem, facts: PlateFacts) -> Problem:
     )
 
 
-def coordinate(name: str, lower: float = 0.0, upper: float = 1.0) -> Parameter:
-    """A reference coordinate with equal density on the plate."""
-    return Parameter(name, "", Uniform(lower, upper), 0.5 * (lower + upper), PERCENT)
+def coordinate(name: str, lower: float = 0.0) -> Parameter:
+    """A reference coordinate with equal density on the plate; lower : where symmetry makes a part equal."""
+    return Parameter(name, "", Uniform(lower, 1.0), 0.5 * (lower + 1.0), PERCENT)
 
 
 def place_text(place: Place) -> str:

@@ -368,12 +368,12 @@ _MESSAGES: Final = {
 }
 
 
-def search_starts(fit: AngleSearchProblem, n: int, seed: int = 0) -> Array:
+def search_starts(fit: AngleSearchProblem, n: int) -> Array:
     """Constants to start fits from: the reference ones, then n - 1 of section 5.1, (n, n_constants).
 
     The reference is left out where it does not meet the constraints (9) within the bounds.
     """
-    drawn = material_swarm(fit.specimen.material, fit.unknowns, 8 * n, np.random.default_rng(seed))
+    drawn = material_swarm(fit.specimen.material, fit.unknowns, 8 * n, np.random.default_rng(0))
     both = np.vstack((reference_vector(fit.specimen, fit.unknowns), drawn))
     return np.asarray(both[fit.admissible(both)][:n])
 

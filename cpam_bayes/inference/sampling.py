@@ -55,16 +55,13 @@ def sample_posterior(
     *,
     settings: EnsembleSettings = DEFAULT_SETTINGS,
     swarm_settings: SwarmSettings | None = None,
-    store: Path | None = None,
-    progress: Callable[[Diagnostics], None] = lambda diagnostics: None,
 ) -> EnsembleResult:
     """Chains of a posterior by emcee, started from a swarm that maximises it.
 
-    Raises ``ValueError`` if no particle is in the support of the prior, ``StoreError`` if the store
-    cannot be used.
+    Raises ``ValueError`` if no particle is in the support of the prior.
     """
     bests, values, _ = swarm_on_posterior(posterior, seed, swarm_settings or SwarmSettings())
-    return sample_from(posterior, bests, values, seed, settings=settings, store=store, progress=progress)[0]
+    return sample_from(posterior, bests, values, seed, settings=settings)[0]
 
 
 def sample_from(
@@ -84,7 +81,7 @@ def sample_from(
     bests : (m, n_plate) parameters of the plate, without the noise.
     values : (m,) their misfits.
 
-    Raises as ``sample_posterior`` does.
+    Raises ``StoreError`` if the store cannot be used.
     """
     rng = np.random.default_rng([seed, 1])
     n_walkers = settings.ensembles * settings.walkers

@@ -95,9 +95,9 @@ def constant_rows(constants: Sequence[Constant], name: str = "constants") -> Row
     return Rows(name, _CONSTANT, tuple(constants), lambda c: not c.is_determined)
 
 
-def constants_table(constants: Sequence[Constant], title: str = "") -> Table:
+def constants_table(constants: Sequence[Constant]) -> Table:
     """Name, value with unit, 95 % interval, determined or not."""
-    return constant_rows(constants).table(title)
+    return constant_rows(constants).table("")
 
 
 def constant_details(
