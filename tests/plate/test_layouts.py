@@ -44,19 +44,11 @@ WRITTEN_IN_LABORATORIES: dict[str, str | bytes] = {
     "no heads": "1;101,5\n2;305,25\n3;333\n",
     "a column of numbers": "# tap test\n101,5\n305,25\n333\n",
     "a line of other units": "Frequenz;Amplitude;Q\nHz;m/s\u00b2;-\n101,5;2;9\n305,25;2;\n333;3;\n",
-    "wide, Frequenz Mode 1 (Hz)": wide(
-        ";", [f"Frequenz Mode {i} (Hz)" for i in (1, 2, 3)], first="Schlag", mark=","
-    ),
     "wide, frequency of mode 1": wide(",", [f"Frequency of mode {i}" for i in (1, 2, 3)], first="Run"),
     "wide, Mode 1 frequency [Hz]": wide(",", [f"Mode {i} frequency [Hz]" for i in (1, 2, 3)]),
-    "long, English": "Mode,Natural frequency (Hz)\n1,101.5\n2,305.25\n3,333\n",
-    "long, German, decimal commas": "Modus;Frequenz [Hz]\n1;101,5\n2;305,25\n3;333,0\n",
     "long, German, cp1252": "Nr;Eigenfrequenz in Hz;D\u00e4mpfung\n1;101,5;0,01\n2;305,25;\n3;333;\n".encode(
         "cp1252"
     ),
-    "long, French": "Ordre;Fr\u00e9quence propre (Hz)\n1;101,5\n2;305,25\n3;333\n",
-    "long, Spanish": "modo\tfrecuencia\n1\t101,5\n2\t305,25\n3\t333\n",
-    "long, Italian": "modo|frequenza [kHz]\n1|0.1015\n2|0.30525\n3|0.333\n",
     "long, Russian": "\u0447\u0430\u0441\u0442\u043e\u0442\u0430\n101,5\n305,25\n333\n",
     "long, Chinese": "\u9891\u7387\n101.5\n305.25\n333\n".encode("utf-16"),
     "a head that is not known, in Hz": "Mode;Messwert [Hz]\n1;101,5\n2;305,25\n3;333\n",
@@ -66,12 +58,9 @@ WRITTEN_IN_LABORATORIES: dict[str, str | bytes] = {
     "long, hits in any language": "Schlag;Mode;Frequenz\n" + "".join(
         f"{i};{m};{f}\n" for i, hit in enumerate(TAPPED, 1) for m, f in enumerate(hit, 1)
     ),
-    "wide, numbers as heads": wide(",", THREE, first="hit"),
     "wide, no column of hits": wide(",", THREE),
-    "wide, mode 1": wide(";", ["Mode 1", "Mode 2", "Mode 3"], first="Schlag", mark=","),
     "wide, Mode_1 [Hz]": wide("\t", ["Mode_1 [Hz]", "Mode_2 [Hz]", "Mode_3 [Hz]"], first="Messung"),
     "wide, f1": wide(" ", ["f1", "f2", "f3"], first="tap"),
-    "wide, f1 (Hz)": wide(",", ["f1 (Hz)", "f2 (Hz)", "f3 (Hz)"], first="Run"),
     "wide, f_1": wide(",", ["f_1", "f_2", "f_3"], first=""),
     "wide, Frequenz 1": wide(";", ["Frequenz 1", "Frequenz 2", "Frequenz 3"], first="Versuch", mark=","),
     "wide, Eigenform 1": wide(";", ["Eigenform 1", "Eigenform 2", "Eigenform 3"], first="Nr"),
@@ -83,7 +72,6 @@ WRITTEN_IN_LABORATORIES: dict[str, str | bytes] = {
     ),
     "long, rates above": "Samples 2000 Hz\nMode;Messwert [Hz]\n1;101,5\n2;305,25\n3;333\n",
     "wide, lines above": "Projekt;Platte 7\nDatum;3.4.\n\n" + wide(";", THREE, first="Schlag", mark=","),
-    "wide, a declared separator": "sep=;\n" + wide(";", THREE, first="hit", mark=","),
     "wide, a hit that shows no mode": wide(";", THREE, first="hit", more="3;-;305,25;n/a\n", mark=","),
     "wide, quoted": wide(",", ['"1"', '"2"', '"3"'], first='"hit"'),
     "across, hit 1": across(",", ["Mode", "hit 1", "hit 2"]),
@@ -92,16 +80,7 @@ WRITTEN_IN_LABORATORIES: dict[str, str | bytes] = {
     "xlsx, wide": sheet(WIDE),
     "xlsx, lines above": sheet([["Platte 7"], [], *WIDE]),
     "xlsx, the second sheet": sheet(LONG, before=[["notes"], ["tapped on foam"]]),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("content", WRITTEN_IN_LABORATORIES.values(), ids=WRITTEN_IN_LABORATORIES)
-def test_a_table_of_a_laboratory_gives_its_frequencies(measured, content: str | bytes) -> None:
-    np.testing.assert_allclose(measured(content).frequencies, MODES, rtol=1e-9)
-
-
-# The same three modes, further from how the documentation has them
-LAYOUTS: dict[str, str | bytes] = {
+    # further from how the documentation has them
     "German, spelt out":
         "Modennummer;Eigenfrequenz [Hz];D\u00e4mpfung [%]\n1;101,5;0,4\n2;305,25;0,3\n3;333;0,2\n",
     "French, spaces that do not break":
@@ -112,7 +91,6 @@ LAYOUTS: dict[str, str | bytes] = {
     "Italian": "Modo\tFrequenza naturale [Hz]\tSmorzamento [%]\n1\t101,5\t0,4\n2\t305,25\t0,3\n3\t333\t0,2\n",
     "Polish, cp1250": "Mod;Cz\u0119stotliwo\u015b\u0107 [Hz]\n1;101,5\n2;305,25\n3;333\n".encode("cp1250"),
     "UTF-16 without a mark": "Modus;Frequenz [Hz]\n1;101,5\n2;305,25\n3;333\n".encode("utf-16-le"),
-    "a head of two words, and commas": "Mode,Measured frequency (Hz)\n1,101.5\n2,305.25\n3,333\n",
     "frequencies first, each head with a unit, commas":
         "Frequency (Hz),Damping (%)\n101.5,0.4\n305.25,0.3\n333,0.2\n",
     "frequencies first, square brackets": "f [Hz],zeta [-]\n101.5,0.004\n305.25,0.003\n333,0.002\n",
@@ -137,7 +115,6 @@ LAYOUTS: dict[str, str | bytes] = {
         "Mode;Hit;Frequenz\n1;1;101,4\n;2;101,6\n2;1;305,2\n;2;305,3\n3;1;333,1\n;2;332,9\n",
     "a mode that is not seen, the last": "Mode;Frequenz [Hz]\n1;101,5\n2;305,25\n3;333\n4;n/a\n",
     "a row a quantity": "Mode;1;2;3\nFrequenz [Hz];101,5;305,25;333\nD\u00e4mpfung [%];0,4;0,3;0,2\n",
-    "a row a quantity, in kHz": "Mode;1;2;3\nFrequenz [kHz];0,1015;0,30525;0,333\n",
     "a row a quantity, units beside":
         "Mode;Einheit;1;2;3\nFrequenz;kHz;0,1015;0,30525;0,333\nAmplitude;g;105;301;330\n",
     "hits in kHz by their rows":
@@ -162,8 +139,8 @@ LAYOUTS: dict[str, str | bytes] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("content", LAYOUTS.values(), ids=LAYOUTS)
-def test_another_layout_gives_the_same_frequencies(measured, content: str | bytes) -> None:
+@pytest.mark.parametrize("content", WRITTEN_IN_LABORATORIES.values(), ids=WRITTEN_IN_LABORATORIES)
+def test_a_table_of_a_laboratory_gives_its_frequencies(measured, content: str | bytes) -> None:
     np.testing.assert_allclose(measured(content).frequencies, MODES, rtol=1e-9)
 
 
