@@ -13,6 +13,7 @@ import sys
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -535,89 +536,80 @@ def _asked_at_a_terminal(path: str, **given: Any) -> dict[str, Any]:
 
 
 _NUMBER: Final = positive(1e9)
+# Nothing is passed on that is not given.
+_given: Final = partial(option, default=argparse.SUPPRESS)
 COMMAND: Final = Command(
     new,
     (
         option("file", metavar="FILE", help="the plate file to write; never written over"),
-        option(
+        _given(
             "--size",
             "size_mm",
             nargs=3,
             type=_NUMBER,
-            default=argparse.SUPPRESS,
             metavar=("LENGTH", "WIDTH", "THICKNESS"),
             help="length (along x), width and thickness, mm",
         ),
-        option(
+        _given(
             "--mass",
             "mass_g",
             type=_NUMBER,
-            default=argparse.SUPPRESS,
             metavar="GRAMS",
             help="mass of the bare plate, g",
         ),
-        option(
+        _given(
             "--layup",
-            default=argparse.SUPPRESS,
             metavar="LAYUP",
             help='ply angles, bottom to top, such as "[0/90]_2s"',
         ),
-        option(
+        _given(
             "--edges",
-            default=argparse.SUPPRESS,
             metavar="EDGES",
             help="FFFF: free; F, S or C for x=0, y=0, x=length, y=width",
         ),
-        option(
+        _given(
             "--material",
             choices=tuple(MATERIALS),
-            default=argparse.SUPPRESS,
             help=f"whose typical bounds the search has (default: {_FIRST_MATERIAL})",
         ),
-        option(
+        _given(
             "--constants",
             nargs="+",
             type=_NUMBER,
-            default=argparse.SUPPRESS,
             metavar="VALUE",
             help="E1 E2 nu12 G12 of the data sheet, GPa; of a metal E1 nu12",
         ),
-        option(
+        _given(
             "--thickness-sd",
             "thickness_sd_mm",
             type=_NUMBER,
-            default=argparse.SUPPRESS,
             metavar="MM",
             help="standard deviation of the mean thickness, mm",
         ),
-        option(
+        _given(
             "--accelerometer",
             nargs=3,
             type=float,
-            default=argparse.SUPPRESS,
             metavar=("GRAMS", "X", "Y"),
             help="a mass that stays on the plate, g, and its place, mm",
         ),
-        option(
+        _given(
             "--air",
             "air_density_kg_m3",
             type=_NUMBER,
-            default=argparse.SUPPRESS,
             metavar="DENSITY",
             help=f"density of the air about the plate, {ROOM_AIR:g} kg/m3 in a room",
         ),
-        option(
+        _given(
             "--frequencies",
             "frequencies_hz",
             nargs="+",
             type=_NUMBER,
-            default=argparse.SUPPRESS,
             metavar="HZ",
             help="ascending, Hz",
         ),
-        option(
+        _given(
             "--table",
-            default=argparse.SUPPRESS,
             metavar="TABLE",
             help="a table of modes in place of --frequencies, its path from FILE",
         ),

@@ -9,15 +9,17 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.answer import FrequencyRow
 from cpam_bayes.formatting import fixed, listed, significant
 from cpam_bayes.forward_model.labels import ShapePairing
 from cpam_bayes.forward_model.model import ROOM_AIR
+from cpam_bayes.mechanics.modes import Mode
 from cpam_bayes.plate import Measurement, Plate, Specimen
 from cpam_bayes.plate.edges import CONDITIONS, PLACES, EdgeCondition, conditions
 from cpam_bayes.plate.laminate import equal_plies
 from cpam_bayes.plate.layup import Layup
-from cpam_bayes.render.figures import PREDICTED, headed, new_figure
-from cpam_bayes.render.report import Caption, Column, Drawing, Rows, Section, Table, facts
+from cpam_bayes.render.figures import PREDICTED, extent_of, headed, new_figure, shapes_figure
+from cpam_bayes.render.report import Caption, Column, Drawing, Rows, Section, Table, facts, modes_caption
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -366,6 +368,27 @@ def plate_drawing(
 ) -> Drawing:
     """The plates that were asked about; overlay : what else is drawn on them, with its caption."""
     return Drawing(PLATE, partial(plate_figure, specimens, overlay), caption or plate_caption(specimens))
+
+
+def measured_modes(
+    specimen: Specimen,
+    rows: Sequence[FrequencyRow],
+    shapes: Sequence[NDArray[np.float64]],
+    modes: Sequence[Mode],
+) -> Drawing:
+    """The shapes, (3, n, n) each, of the modes that measured frequencies belong to, a row each."""
+    plate = specimen.plate
+    figure = partial(
+        shapes_figure,
+        f"{specimen.name}: modes of the measured frequencies",
+        [f"{row.number}: {row.measured:g} Hz measured\n{row.kind} {row.label}" for row in rows],
+        shapes,
+        [mode.in_plane_fraction > 0.5 for mode in modes],
+        extent_of(plate.length, plate.width),
+        plate.edges,
+    )
+    labelled = [(row.measured or 0.0, row.label or row.kind or "") for row in rows]
+    return Drawing("modes", figure, modes_caption(labelled))
 
 
 FIGURE = "modal_assurance"

@@ -377,6 +377,14 @@ def reliance_sentences(
     return tuple(said)
 
 
+def reliance_table(
+    reliances: Sequence[Reliance], prior_of: Callable[[str], Prior], shown: Sequence[str]
+) -> Table:
+    """The same as a list of remarks."""
+    said = reliance_sentences(reliances, prior_of, shown)
+    return remarks("Intervals that depend on the range of another constant", said)
+
+
 def prior_text(name: str, prior: Prior) -> str:
     """The range of a prior, and centre and standard deviation where it has them, in the plate file's unit."""
     numbers = prior.describe(partial(to_user, name))

@@ -54,7 +54,6 @@ from cpam_bayes.render.report import (
     Section,
     facts,
     laminate_keys,
-    remarks,
 )
 from cpam_bayes.render.sentences import (
     constant_details,
@@ -68,7 +67,7 @@ from cpam_bayes.render.sentences import (
     more_modes_step,
     plate_argument,
     references_said,
-    reliance_sentences,
+    reliance_table,
 )
 from cpam_bayes.result import PlatesResult, present
 from cpam_bayes.running import Watch
@@ -240,10 +239,7 @@ def _present(result: JointResult) -> Report:
                 "Constants",
                 (
                     constant_details(constants, result.plates[0].material),
-                    remarks(
-                        "Intervals that depend on the range of another constant",
-                        reliance_sentences(estimate.reliances, lambda n: result.constants[n].prior, use),
-                    ),
+                    reliance_table(estimate.reliances, lambda n: result.constants[n].prior, use),
                 ),
             ),
             further_steps((*steps[1:], *more_modes_step(constants))),

@@ -17,8 +17,14 @@ from cpam_bayes.inference.completeness import Profile
 from cpam_bayes.plate import to_user, user_name
 from cpam_bayes.questions.identify.emcee import Marginal, SampledResult
 from cpam_bayes.questions.identify.slips import slip_records
-from cpam_bayes.render.figures import extent_of, new_figure, shapes_figure
-from cpam_bayes.render.plate import assurance_drawings, assurance_sections, plate_section, shape_keys
+from cpam_bayes.render.figures import new_figure
+from cpam_bayes.render.plate import (
+    assurance_drawings,
+    assurance_sections,
+    measured_modes,
+    plate_section,
+    shape_keys,
+)
 from cpam_bayes.render.posterior import Draws, marginals_figure, pairs_figure
 from cpam_bayes.render.report import (
     COMPUTATION,
@@ -32,7 +38,6 @@ from cpam_bayes.render.report import (
     Table,
     facts,
     laminate_unit,
-    modes_caption,
     plate_keys,
     remarks,
 )
@@ -53,7 +58,7 @@ from cpam_bayes.render.sentences import (
     mismatch_step,
     more_modes_step,
     references_said,
-    reliance_sentences,
+    reliance_table,
 )
 from cpam_bayes.render.spectrum import peak_drawings, peak_keys, peak_rows, peak_sections
 from cpam_bayes.result import present
@@ -138,12 +143,7 @@ def _present(result: SampledResult) -> Report:
                     constant_details((*constants, *sizes), specimen.material),
                     remarks("At the bounds", _at_bounds(result)),
                     errors_table(result.scale_errors, [c.name for c in constants]),
-                    remarks(
-                        "Intervals that depend on the range of another constant",
-                        reliance_sentences(
-                            result.reliances, lambda n: result.posterior.parameters[n].prior, use
-                        ),
-                    ),
+                    reliance_table(result.reliances, lambda n: result.posterior.parameters[n].prior, use),
                     _laminate(result.laminate),
                 ),
                 ("marginals_and_profiles",),
@@ -661,10 +661,11 @@ def _drawings(result: SampledResult, modes: Rows) -> tuple[Drawing, ...]:
                 f"Residuals of {len(rows)} modes by all and by the other modes, and the leverage of each.",
             ),
         ),
-        Drawing(
-            "modes",
-            partial(_modes_figure, result, rows),
-            modes_caption([(row.measured or 0.0, row.label or row.kind or "") for row in rows]),
+        measured_modes(
+            result.specimen,
+            rows,
+            [result.shapes[row.number - 1] for row in rows],
+            [result.modes[row.number - 1] for row in rows],
         ),
         *assurance_drawings(result.specimen.name, result.by_shape, result.posterior.measurement),
     )
@@ -717,16 +718,3 @@ def _left_out_figure(result: SampledResult, modes: Rows) -> Figure:
     lower.set_xticks(x, names)
     upper.set_title(f"{result.specimen.name}: each mode predicted by all, and by the others", loc="left")
     return figure
-
-
-def _modes_figure(result: SampledResult, rows: Sequence[FrequencyRow]) -> Figure:
-    """The shape of the mode that each measured frequency belongs to."""
-    plate = result.specimen.plate
-    return shapes_figure(
-        f"{result.specimen.name}: modes of the measured frequencies",
-        [f"{r.number}: {r.measured:g} Hz measured\n{r.kind} {r.label}" for r in rows],
-        [result.shapes[row.number - 1] for row in rows],
-        [result.modes[row.number - 1].in_plane_fraction > 0.5 for row in rows],
-        extent_of(plate.length, plate.width),
-        plate.edges,
-    )

@@ -44,8 +44,14 @@ from cpam_bayes.questions.identify.slips import (
     slips_where_unreachable,
     with_slips,
 )
-from cpam_bayes.render.figures import PREDICTED, extent_of, new_figure, shapes_figure
-from cpam_bayes.render.plate import assurance_drawings, assurance_sections, plate_section, shape_keys
+from cpam_bayes.render.figures import PREDICTED, new_figure
+from cpam_bayes.render.plate import (
+    assurance_drawings,
+    assurance_sections,
+    measured_modes,
+    plate_section,
+    shape_keys,
+)
 from cpam_bayes.render.report import (
     COMPUTATION,
     Caption,
@@ -57,9 +63,7 @@ from cpam_bayes.render.report import (
     Table,
     facts,
     laminate_keys,
-    modes_caption,
     plate_keys,
-    remarks,
 )
 from cpam_bayes.render.sentences import (
     attached_step,
@@ -80,7 +84,7 @@ from cpam_bayes.render.sentences import (
     more_modes_step,
     plate_argument,
     references_said,
-    reliance_sentences,
+    reliance_table,
 )
 from cpam_bayes.result import PlateResult, present, within_time
 from cpam_bayes.running import SILENT, Watch
@@ -412,10 +416,7 @@ def _present(result: PointResult) -> Report:
                     constant_details(constants, specimen.material, estimate.alone),
                     *((optima.table("Optima that the noise does not tell apart"),) if several else ()),
                     errors_table(estimate.scale_errors, [c.name for c in constants]),
-                    remarks(
-                        "Intervals that depend on the range of another constant",
-                        reliance_sentences(estimate.reliances, lambda n: specimen.unknowns[n].prior, use),
-                    ),
+                    reliance_table(estimate.reliances, lambda n: specimen.unknowns[n].prior, use),
                     _laminate(estimate.laminate),
                 ),
                 ("optima",) if several else (),
@@ -525,13 +526,8 @@ def _document(result: PointResult, frequencies: Rows, optima: Rows) -> dict[str,
         **({} if angles is None else {"angles_deg": angles.angles_deg.tolist()}),
         "frequencies": frequencies.records(),
         "optima": [
-            {
-                "constants": {user_name(name): to_user(name, v) for name, v in row.values.items()},
-                "objective": row.optimum.value,
-                "rms_percent": 100.0 * row.rms,
-                "found_by": row.optimum.swarms,
-            }
-            for row in optima.rows
+            {"constants": {key: row.pop(key) for key in map(user_name, result.constants)}, **row}
+            for row in optima.records()
         ],
         **shape_keys(estimate.by_shape, specimen.measurement),
         "explained_by": slip_records(result.explained_by),
@@ -655,11 +651,7 @@ def _drawings(result: PointResult) -> tuple[Drawing, ...]:
                 f"Predicted against measured frequencies of {n} modes with the line of equality.",
             ),
         ),
-        Drawing(
-            "modes",
-            partial(_modes_figure, result),
-            modes_caption([(row.measured or 0.0, row.label or row.kind or "") for row in rows]),
-        ),
+        measured_modes(result.specimen, rows, list(estimate.shapes), estimate.predicted),
         *assurance_drawings(result.specimen.name, estimate.by_shape, result.specimen.measurement),
         *((optima,) if len(result.optima) > 1 else ()),
     )
@@ -705,19 +697,6 @@ def _residuals_figure(result: PointResult) -> Figure:
     axes.margins(y=0.25)
     axes.set_title(f"{result.specimen.name}: residuals, rms {100.0 * estimate.rms:.2f} %", loc="left")
     return figure
-
-
-def _modes_figure(result: PointResult) -> Figure:
-    """The shape of the mode that each measured frequency belongs to."""
-    plate, rows = result.specimen.plate, result.frequencies
-    return shapes_figure(
-        f"{result.specimen.name}: modes of the measured frequencies",
-        [f"{row.number}: {row.measured:g} Hz measured\n{row.kind} {row.label}" for row in rows],
-        list(result.estimate.shapes),
-        [mode.in_plane_fraction > 0.5 for mode in result.estimate.predicted],
-        extent_of(plate.length, plate.width),
-        plate.edges,
-    )
 
 
 def _optima_figure(result: PointResult) -> Figure:
