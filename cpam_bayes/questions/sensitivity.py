@@ -128,9 +128,7 @@ def sensitivity(
     n_modes : number of modes with ``source="model"``; as many as were measured, or 10, where left out
     settings : of the swarms
     chains : of the ensembles
-    executor, workers : "serial", in this process; "processes", as many as cores or ``workers``, which needs
-        the call under ``if __name__ == "__main__":`` in a script; or a Dask cluster, see
-        `cpam_bayes.parallel.open_executor`. The answer is the same
+    executor, workers : as for `cb.sequence`
     watch : display of the progress; none where left out
 
     Raises

@@ -90,16 +90,12 @@ def test_the_document_has_the_keys_of_the_contract(misread):
     assert found["something_wrong"] > found["inclusion"]["outlier"] == found["probability"]
     assert found["warnings"] == ["Mind this."]
     assert found["next_measurement"] == []
-    for fit in (found["baseline"], found["extended"]):
-        assert {"constants", "frequencies", "rms_percent", "log_evidence"} <= set(fit)
     for constants in (found["constants"], *(found[fit]["constants"] for fit in ("baseline", "extended"))):
         assert set(constants) == {"E1_GPa", "nu12"}
         for constant in constants.values():
             assert constant["q025"] < constant["mean"] < constant["q975"]
-            assert {"sd", "prior_contraction", "reference"} <= set(constant)
     gain = found["gain"]
     assert gain["rms_percent_after"] < gain["rms_percent_before"] == found["baseline"]["rms_percent"]
-    assert {"log_bayes_factor", "held_out_log_score_difference", "held_out_log_score_se"} <= set(gain)
     assert 0.0 <= gain["stable_share"] <= 1.0
     assert gain["held_out_hypotheses"] == misread.gain.n_hypotheses >= 2
 
@@ -111,12 +107,9 @@ def test_probabilities_of_all_hypotheses_sum_to_one_and_none_and_other_are_among
         assert {"none", "other"} <= set(names)
         assert len(set(names)) == len(names)
         assert sum(h["probability"] for h in found["hypotheses"]) == pytest.approx(1.0, abs=1e-9)
-        keys = {"log_bayes_factor", "parameters", "indistinguishable_from", "max_shift_percent"}
-        assert all(keys <= set(h) for h in found["hypotheses"])
         for scales in ("scales_times_3", "scales_divided_by_3"):
             ranges = [h["probability_range"][scales] for h in found["hypotheses"]]
             assert sum(ranges) == pytest.approx(1.0, abs=1e-9)
-            assert set(found["claims_by_prior_scales"][scales]) == {"claim", "causes", "probability"}
 
 
 def test_a_misread_frequency_is_named_with_its_size_in_percent(misread):
@@ -196,7 +189,6 @@ def test_several_plates_have_one_object_each_and_share_their_constants(two_plate
         plates = fit["plates"]
         assert len(plates) == 2
         for plate in plates:
-            assert {"constants", "frequencies", "rms_percent", "log_evidence"} <= set(plate)
             assert len(plate["frequencies"]) == 6
         squares = [6 * plate["rms_percent"] ** 2 for plate in plates]
         assert np.sqrt(sum(squares) / 12) == pytest.approx(fit["rms_percent"], rel=1e-9)

@@ -176,8 +176,6 @@ def test_the_command_gives_the_document_of_the_library(run: Any, tmp_path: Path,
     )
     document = json.loads(out)
     assert status == 0
-    keys = {"mean_hz", "sd_hz", "q025", "q975", "kind", "label"}
-    assert all(keys <= set(f) for f in document["frequencies"])
     assert [f["measured_hz"] for f in document["frequencies"]] == [114.0, 167.0, 218.0]
     result = cb.predict(path, "A1", 3).to_dict()
     assert {**result, "seconds": 0} == {**document, "seconds": 0}

@@ -122,10 +122,7 @@ def diagnose(
     prior_none : prior probability that nothing is wrong, 0.5 where left out
     next_test : when to rank further tests: while the cause is "open", "always", or "never"
     catalogue : the effects that the plates may have; those of the package where left out
-    executor, workers : where models are built and hypotheses are fitted: "serial", in this process;
-        "processes", as many as cores or ``workers``, which needs the call under
-        ``if __name__ == "__main__":`` in a script; or a Dask cluster, see
-        `cpam_bayes.parallel.open_executor`. The answer is the same
+    executor, workers : where models are built and hypotheses are fitted, as for `cb.sequence`
     watch : display of the progress; none where left out
 
     Raises
