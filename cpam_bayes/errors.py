@@ -171,12 +171,8 @@ def _fits(value: object, hint: Any) -> bool:
     if kind in (int, float):
         return isinstance(value, Integral if kind is int else Real) and not isinstance(value, bool)
     if getattr(kind, "_is_protocol", False):
-        return all(hasattr(value, name) for name in _members(kind))
+        return all(hasattr(value, name) for name in vars(kind) if not name.startswith("_"))
     return isinstance(value, kind)
-
-
-def _members(protocol: Any) -> list[str]:
-    return [name for name in vars(protocol) if not name.startswith("_")]
 
 
 def _words(hint: Any) -> Iterator[str]:

@@ -468,7 +468,7 @@ def information(outlook: Outlook, log2_data: int = _LOG2_DATA) -> tuple[float, f
     with np.errstate(divide="ignore"):
         log_joint = np.log(p) - log_det - 0.5 * np.sum(z**2, axis=-1)  # (k, draws, k)
     after = np.exp(log_joint - logsumexp(log_joint, axis=-1, keepdims=True)) @ of_cause
-    possible = _entropy(p @ of_cause)
+    possible = float(_entropies(p @ of_cause))
     left = float(p @ _entropies(after).mean(axis=1))
     right = np.take_along_axis(after, of_cause.argmax(axis=1)[:, None, None], axis=-1)[..., 0]
     decided = float(p @ (right > _IDENTIFIED).mean(axis=1))
@@ -477,10 +477,6 @@ def information(outlook: Outlook, log2_data: int = _LOG2_DATA) -> tuple[float, f
 
 def _entropies(p: Array) -> Array:
     return np.asarray(-np.sum(p * np.log(np.maximum(p, 1e-300)), axis=-1))
-
-
-def _entropy(p: Array) -> float:
-    return float(_entropies(p))
 
 
 def outlook_of(leading: Sequence[Tested], case: PlateCase, predict: Predict, noise: float | None) -> Outlook:

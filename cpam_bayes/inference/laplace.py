@@ -183,7 +183,8 @@ def polish(
     Returns the optimum (n,), the expansion there (m = 1) and whether the last poll found nothing better.
     """
     u = maxima.u[row]
-    expansion = Expansion(*(a[row : row + 1] for a in _parts(maxima.expansion)))
+    every = maxima.expansion
+    expansion = Expansion(*(a[row : row + 1] for a in (every.value, every.gradient, every.curvature)))
     n = len(u)
     for _ in range(_MOST_POLLS):
         spread = _directions(n) @ _root_of_inverse(expansion.curvature[0] + np.eye(n)).T
@@ -195,10 +196,6 @@ def polish(
         again = maximise(target, points[best : best + 1], lower, upper)
         u, expansion = again.u[0], again.expansion
     return u, expansion, False
-
-
-def _parts(e: Expansion) -> tuple[Array, Array, Array]:
-    return e.value, e.gradient, e.curvature
 
 
 Hessian = Literal["gauss-newton", "exact"]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, cast
@@ -292,17 +292,13 @@ def _grid_step(data: Data) -> Problems:
 
 def _spreads(data: Data, name: str) -> Problems:
     given = table(data, name)
+    known = " ".join(key for key in given if key in USER_UNITS)
     for key in table(data, name, "sd"):
         if key in USER_UNITS and key not in given:
             yield Problem(
                 (name, "sd", key),
-                f"standard deviation of a number that [{name}] does not give, "
-                f"accepted: {_listed(k for k in given if k in USER_UNITS)}",
+                f"standard deviation of a number that [{name}] does not give, accepted: {known or 'none'}",
             )
-
-
-def _listed(keys: Iterable[str]) -> str:
-    return " ".join(keys) or "none"
 
 
 # [plate]: sizes, mass and density

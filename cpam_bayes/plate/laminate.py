@@ -183,11 +183,6 @@ _ENTRIES_3 = np.array([[0, 1, 4], [1, 2, 5], [4, 5, 3]])
 _ENTRIES_2, _ADJUGATE_2 = np.array([[0, 2], [2, 1]]), np.array([[0, 2], [3, 1]])
 
 
-def _symmetric3(x: Array) -> Array:
-    """(X11, X12, X22, X66, X16, X26) on the last axis -> (..., 3, 3)."""
-    return np.asarray(x[..., _ENTRIES_3])
-
-
 def _merge_equal_plies(angles_deg: Array, plies: PlyStack) -> tuple[Array, Array, Array]:
     """Neighbouring plies of one angle and material as one: angles and materials (m,), interfaces (m + 1,)."""
     starts = run_starts(angles_deg, plies)
@@ -360,7 +355,7 @@ def _running_rows(units: Array, running: Array) -> Array:
 def _membrane_and_bending(geometry: LaminateGeometry, invariants: Array) -> Array:
     """[A B 0; B D 0; 0 0 0] of unit thickness, (..., 8, 8)."""
     a, b, d = (
-        _symmetric3(rotated_stiffness(invariants, weights))
+        rotated_stiffness(invariants, weights)[..., _ENTRIES_3]
         for weights in (geometry.in_plane, geometry.coupling, geometry.flexural)
     )
     unit = np.zeros((*a.shape[:-2], N_STRAINS, N_STRAINS), dtype=np.result_type(a, b, d))

@@ -136,7 +136,7 @@ def _sets(title: str, shapes: UniversalShapes) -> Sequence[dict[str, Any]]:
     modes = [
         {
             "type": 55,
-            "id1": _ascii(f"{title}, predicted"),
+            "id1": f"{title}, predicted".encode("ascii", "replace").decode()[:80],
             "id2": f"{mode.kind} {mode.label}",
             "id3": f"mode {i}, {mode.frequency:.6g} Hz",
             "node_nums": shapes.nodes,
@@ -148,10 +148,6 @@ def _sets(title: str, shapes: UniversalShapes) -> Sequence[dict[str, Any]]:
         for i, (mode, shape) in enumerate(zip(shapes.modes, shapes.shapes, strict=True), 1)
     ]
     return [{"type": 164, **_UNITS}, {**nodes, "x": x, "y": y, "z": 0.0 * x}, *lines, *modes]
-
-
-def _ascii(text: str) -> str:
-    return text.encode("ascii", "replace").decode()[:80]
 
 
 _NO_MESH: Final = "files are written for rectangular plates only; leave mesh out"

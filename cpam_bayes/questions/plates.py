@@ -35,10 +35,6 @@ def plates() -> BuiltinPlates:
     return BuiltinPlates(seed=0, specimens=builtin_plates())
 
 
-def _size(specimen: Specimen) -> int:
-    return 0 if specimen.measurement is None else specimen.measurement.size
-
-
 _COLUMNS: Final = (
     Column("name", "name", lambda s: s.name),
     Column(None, "specimen", lambda s: s.specimen),
@@ -54,7 +50,7 @@ _COLUMNS: Final = (
     Column(None, "isotropic", lambda s: s.material.isotropic),
     Column(None, "symmetry", lambda s: s.material.symmetry),
     Column(None, "unknowns", lambda s: [user_name(name) for name in s.unknowns.names]),
-    Column("frequencies", "frequencies", _size, number=True),
+    Column("frequencies", "frequencies", lambda s: s.measurement.size if s.measurement else 0, number=True),
     Column(None, "thickness_class", lambda s: thickness_class(s.plate)),
     Column("class", None, lambda s: f"{thickness_class(s.plate)} ({thickness_ratio(s.plate)})"),
     Column(None, "notes", lambda s: list(s.notes)),

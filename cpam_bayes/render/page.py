@@ -183,16 +183,12 @@ def _environment() -> Environment:
         keep_trailing_newline=True,
     )
     environment.filters["typeset"] = _typeset
-    environment.filters["brief"] = _brief
+    # the title of a table without what it explains
+    environment.filters["brief"] = lambda title: re.split("[:;,]", title)[0]
     environment.filters["command"] = _command
     style = environment.get_template("style.css").render()
     environment.globals["style"] = Markup(style)
     return environment
-
-
-def _brief(title: str) -> str:
-    """The title of a table without what it explains."""
-    return re.split("[:;,]", title)[0]
 
 
 def _typeset(text: str) -> Markup:

@@ -371,7 +371,7 @@ def _ringing(recording: Recording, hits: Sequence[Array], end: float) -> tuple[N
     """
     n_forces = len(recording.numbers) - len(recording.responses)
     for row, number in enumerate(recording.numbers[n_forces:], n_forces):
-        power = np.mean([_power(hit[row], len(hits[0][row])) for hit in hits], axis=0)
+        power = np.mean([np.abs(np.fft.rfft(hit[row], len(hits[0][row]))) ** 2 for hit in hits], axis=0)
         f = np.fft.rfftfreq(len(hits[0][row]), 1.0 / recording.rate)
         at = f[int(np.argmax(power))]
         share = float(power[np.abs(f - at) < _ALONE * at].sum() / max(power.sum(), np.finfo(float).tiny))
@@ -380,10 +380,6 @@ def _ringing(recording: Recording, hits: Sequence[Array], end: float) -> tuple[N
                 Notice("ringing_sensor", facts={"channel": number, "frequency": float(at), "share": share}),
             )
     return ()
-
-
-def _power(signal: Array, n: int) -> Array:
-    return np.asarray(np.abs(np.fft.rfft(signal, n)) ** 2)
 
 
 def _hums(recordings: Sequence[Recording]) -> tuple[Notice, ...]:

@@ -460,7 +460,7 @@ def _constants(d: Diagnosis) -> Table:
     columns = (
         Column("constant", value=lambda c: c.name),
         Column("unit", value=lambda c: unit_of(c.name)),
-        Column("reference", value=lambda c: to_user(c.name, c.reference), text=_reference, number=True),
+        Column("reference", value=lambda c: to_user(c.name, c.reference), text="{:.5g}".format, number=True),
         Column("plain model", value=lambda c: without.get(c.name), text=_with_interval, number=True),
         Column("with what was found", value=lambda c: extended.get(c.name), text=_with_interval, number=True),
         Column("answer", value=lambda c: c, text=_with_interval, number=True),
@@ -470,10 +470,6 @@ def _constants(d: Diagnosis) -> Table:
     return Rows("constants", columns, rows).table(
         "Constants, mean and 95 % interval; the answer: averaged over all causes by their probability"
     )
-
-
-def _reference(value: float) -> str:
-    return f"{value:.5g}"
 
 
 def _with_interval(c: Constant) -> str:

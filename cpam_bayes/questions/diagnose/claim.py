@@ -72,7 +72,10 @@ def summary(result: DiagnosisResult) -> Summary:
         ),
         next_step=next(iter(next_steps(result)), ""),
         slips=result.slips,
-        warnings=(*_depends(d), *result.cautions),
+        warnings=(
+            *(() if d.sensitivity.claim_stands else (sensitivity_sentence(d),)),
+            *result.cautions,
+        ),
     )
 
 
@@ -291,10 +294,6 @@ def _contained_of(d: Diagnosis, specimen: Specimen) -> str:
 def shown_constants(d: Diagnosis) -> list[str]:
     """The constants that the frequencies say something of."""
     return [c.name for c in answer_constants(d) if c.verdict is not Verdict.PRIOR]
-
-
-def _depends(d: Diagnosis) -> tuple[str, ...]:
-    return () if d.sensitivity.claim_stands else (sensitivity_sentence(d),)
 
 
 def sensitivity_sentence(d: Diagnosis) -> str:

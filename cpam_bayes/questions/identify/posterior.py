@@ -123,7 +123,7 @@ def _present(result: SampledResult) -> Report:
             lines=(
                 fit_sentence(
                     rms,
-                    stated=_stated(result),
+                    stated=None if result.noise else result.posterior.measurement.relative_noise,
                     measurement=specimen.measurement,
                     inferred=_inferred(result),
                     explained=result.explained,
@@ -179,11 +179,6 @@ def _present(result: SampledResult) -> Report:
         drawings=(*_drawings(result, modes), *peak_drawings(specimen, peaks)),
         rows=(constant_rows(constants), modes, *((peaks,) if peaks.rows else ())),
     )
-
-
-def _stated(result: SampledResult) -> float | None:
-    """The relative noise of the plate file, None where it is inferred."""
-    return None if result.noise is not None else result.posterior.measurement.relative_noise
 
 
 def _inferred(result: SampledResult) -> float | None:
@@ -261,17 +256,19 @@ def _modes(result: SampledResult) -> Rows:
     ]
     columns = (
         *base,
-        Column("sd Hz", "predicted_sd_hz", _sd, lambda v: significant(v, 2), True),
+        Column(
+            "sd Hz",
+            "predicted_sd_hz",
+            lambda m: m.left_out and m.row.predicted_sd,
+            lambda v: significant(v, 2),
+            True,
+        ),
         Column("leverage", None, lambda m: m.left_out and m.left_out.leverage, lambda v: fixed(v, 2), True),
         Column("left out %", None, percent("residual"), lambda v: signed(v, 2), True),
         Column("sd %", None, percent("sd"), lambda v: fixed(v, 2), True),
         Column("", None, partial(_place, result.pairing_probability is not None)),
     )
     return Rows("frequencies", columns, tuple(shown), _is_far)
-
-
-def _sd(m: _Mode) -> float | None:
-    return None if m.left_out is None else m.row.predicted_sd
 
 
 def _is_far(m: _Mode) -> bool:

@@ -189,7 +189,9 @@ class NoisyAngles:
         goal = np.array(printed, dtype=float)
         ends = np.array(level["angles_deg"], dtype=float)
         # a plate seen from behind has all angles with the other sign and the same frequencies
-        ends = np.array([min(end, _wrapped(-end), key=lambda a: _away(a, goal)) for end in ends])
+        ends = np.array(
+            [min(end, _wrapped(-end), key=lambda a: np.sum(np.abs(_wrapped(a - goal)))) for end in ends]
+        )
         away = _wrapped(ends - goal)
         mean = _wrapped(goal + away.mean(axis=0))
         length = np.abs(np.exp(2j * np.radians(ends)).mean(axis=0))
@@ -233,10 +235,6 @@ _GRID_DEG: Final = 5.0
 def _wrapped(angles_deg: Any) -> Any:
     """Within -90 (excluded) to 90 degrees: a fibre has no head."""
     return 90.0 - np.mod(90.0 - angles_deg, 180.0)
-
-
-def _away(angles_deg: Any, goal: Any) -> float:
-    return float(np.sum(np.abs(_wrapped(angles_deg - goal))))
 
 
 def noisy_angles(rows: Sequence[Row]) -> str:

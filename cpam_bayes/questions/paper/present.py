@@ -208,10 +208,6 @@ def _by_ply(key: str, form: str, row: Record) -> str:
     return " ".join(format(v, form) for name, v in row["details"].items() if name.startswith(key))
 
 
-def _of_ten(row: Record) -> str:
-    return f"{row['details']['found']:.0f} of 10"
-
-
 def _probability_of(which: str, row: Record) -> str | None:
     found = _detail(f"{which}_probability", row)
     return None if found is None else f"{found:.1g}"
@@ -221,7 +217,7 @@ _NOISY_ANGLES: Final = (
     _of("specimen", "plate"),
     _of("source", "noise"),
     _of("printed_text", "printed means of ten"),
-    _shown("inversions there", _of_ten, number=True),
+    _shown("inversions there", lambda row: f"{row['details']['found']:.0f} of 10", number=True),
     _shown("spread by ply, degrees", partial(_by_ply, "spread_", ".0f")),
     _shown("probability of the true layup", partial(_probability_of, "true"), number=True),
     _shown("of the printed one", partial(_probability_of, "printed"), number=True),
@@ -277,6 +273,7 @@ def report_of(document: Record, slips: tuple[str, ...], cautions: tuple[str, ...
     )
     simulation = Rows("simulation", _SIMULATION, tuple(document["simulation"]))
     costs, well_posed = Rows("costs", _COSTS, tuple(document["costs"])), _well_posed(document["hadamard"])
+    computed = Rows("computed", _COMPUTED, tuple(document["computed"].items()))
     shown = drawings(document)
     drawn = {drawing.name for drawing in shown}
     titles = {t["table"]: f"Table {t['table']}: {t['title']}" for t in document["tables"]}
@@ -326,7 +323,7 @@ def report_of(document: Record, slips: tuple[str, ...], cautions: tuple[str, ...
                     ),
                 ),
             ),
-            Section(COMPUTATION, (_computed(document).table("Computations"), costs.table("Forward solves"))),
+            Section(COMPUTATION, (computed.table("Computations"), costs.table("Forward solves"))),
         ),
         document=document,
         drawings=shown,
@@ -369,10 +366,6 @@ def _when(document: Record) -> Iterator[str]:
         seconds = sum(record["seconds"] for record in document["computed"].values())
         when = " to ".join(dict.fromkeys((days[0], days[-1])))
         yield f"Computed {when}, {duration(seconds)} in all; --all computes anew."
-
-
-def _computed(document: Record) -> Rows:
-    return Rows("computed", _COMPUTED, tuple(document["computed"].items()))
 
 
 def page(document: Record) -> str:
