@@ -87,10 +87,7 @@ class StoredPosterior:
 def read_posterior(file: str | os.PathLike[str]) -> StoredPosterior:
     """The draws of a file ``posterior.nc``.
 
-    Raises
-    ------
-    ValueError
-        If the file cannot be read or has no draws of elastic constants.
+    raises ValueError if the file cannot be read or has no draws of elastic constants
     """
     path = Path(file)
     if not path.is_file():
@@ -111,10 +108,7 @@ def _opened(path: Path) -> Any:
 def stored_posterior(data: Any, source: str) -> StoredPosterior:
     """The draws among the groups of a posterior; source : what they are called in messages.
 
-    Raises
-    ------
-    ValueError
-        If there are no draws of elastic constants, or broken ones.
+    raises ValueError if there are no draws of elastic constants, or broken ones
     """
     group = data["posterior"].dataset if "posterior" in data.children else {}
     draws = {}

@@ -30,10 +30,7 @@ def sentences(notices: Iterable[Notice], *severities: Severity) -> tuple[str, ..
 def sentence_of(notice: Notice) -> str:
     """A notice in words, in the units of plate files.
 
-    Raises
-    ------
-    KeyError
-        If there is no sentence of its code.
+    raises KeyError if there is no sentence of its code
     """
     return _written(notice.code, notice.facts)
 

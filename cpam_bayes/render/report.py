@@ -317,10 +317,7 @@ def xlsx_bytes(tables: Sequence[Rows]) -> bytes:
 def data_frame(tables: Sequence[Rows], name: str | None) -> Any:
     """One of the tables of an answer as a pandas data frame, the first unless named.
 
-    Raises
-    ------
-    ValueError
-        If there is no table of that name.
+    raises ValueError if there is no table of that name
     """
     import pandas as pd  # heavy, and a part of xarray
 
