@@ -44,6 +44,12 @@ def test_a_page_says_what_the_saved_results_say(name: str) -> None:
     assert script("studies", "write_pages").written(PAGES[name], STUDIES) == PAGES[name].read_text("utf-8")
 
 
+def test_the_documentation_has_at_most_30_000_words() -> None:
+    words = {name: len(path.read_text("utf-8").split()) for name, path in PAGES.items()}
+    longest_first = sorted(words.items(), key=lambda page: -page[1])
+    assert sum(words.values()) <= 30_000, longest_first
+
+
 def test_every_source_of_a_section_is_a_study_a_figure_or_a_benchmark() -> None:
     sources = {source for path in PAGES.values() for source, _ in marks(path.read_text(encoding="utf-8"))}
     # benchmarks/waits.py writes the tables of docs/speed.md
