@@ -150,7 +150,6 @@ def test_what_was_learned_badly_or_overlooked_is_warned_of() -> None:
         effective=0.98,
         fitted=500,
         sampled=300,
-        surrogate_probability=1e-3,
     )
     assert notices(replace(own, check=good), mixture()) == {}
     bad = replace(own, check=replace(good, rms=2.5, overlooked=1.2), unaccounted=4e-3)
