@@ -173,14 +173,27 @@ class ParameterSet:
             self.fixed + tuple((name, value) for name, value in other.fixed if name not in mine),
         )
 
+    def fix(self, **values: float) -> ParameterSet:
+        """The set with some parameters held at values, in their units.
+
+        raises ValueError for a name that does not vary or a value that is not finite
+        """
+        self._require(values)
+        wrong = {name: value for name, value in values.items() if not np.isfinite(value)}
+        if wrong:
+            raise ValueError(f"fixed values: received {wrong}, accepted: finite numbers")
+        rest = self.without(*values)
+        return ParameterSet(
+            rest.parameters,
+            self.fixed + tuple((name, float(value)) for name, value in values.items()),
+        )
+
     def without(self, *names: str) -> ParameterSet:
         """The set without some of its varying parameters.
 
         raises ValueError for a name that does not vary
         """
-        unknown = [name for name in names if name not in self]
-        if unknown:
-            raise ValueError(f"parameters {unknown} do not vary; there are {list(self.names)}")
+        self._require(names)
         return ParameterSet(tuple(p for p in self.parameters if p.name not in names), self.fixed)
 
     def mapping(self, x: ArrayLike) -> dict[str, NDArray[Any]]:
@@ -242,6 +255,11 @@ class ParameterSet:
     @property
     def _priors(self) -> Priors:
         return Priors(tuple(p.prior for p in self.parameters))
+
+    def _require(self, names: Mapping[str, float] | tuple[str, ...]) -> None:
+        unknown = [name for name in names if name not in self]
+        if unknown:
+            raise ValueError(f"parameters {unknown} do not vary; there are {list(self.names)}")
 
     def _vectors(self, x: ArrayLike) -> NDArray[Any]:
         array = np.asarray(x)

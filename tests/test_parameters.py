@@ -56,6 +56,8 @@ def test_union_shares_equal_parameters_and_keeps_order():
         (lambda: SET.union(ParameterSet((Parameter("nu12", "", Uniform(0.1, 0.4)),))), "defined twice"),
         (lambda: SET.union(ParameterSet((), (("nu12", 0.3),))), "defined twice"),
         (lambda: ParameterSet((E1, E1)), "more than once"),
+        (lambda: SET.fix(E2=1.0), "E2"),
+        (lambda: SET.fix(E1=math.nan), "E1"),
         (lambda: SET.without("E2"), "E2"),
         (lambda: SET.vector({"E1": 1.0}), "E1"),
         (lambda: SET.mapping(np.zeros(3)), "E1"),
@@ -68,7 +70,7 @@ def test_misuse_of_a_set_is_refused(make, said):
 
 
 def test_fixed_parameters_leave_the_vector_and_stay_in_the_mapping_and_others_are_dropped():
-    fixed = ParameterSet((E1,), (("nu12", 0.3),))
+    fixed = SET.fix(nu12=0.3)
     assert fixed.names == ("E1",)
     mapping = fixed.mapping(np.array([[5.0], [6.0]]))
     assert mapping["nu12"].tolist() == [0.3, 0.3]
@@ -100,5 +102,5 @@ def test_the_empty_set_is_a_set():
 
 
 def test_sets_travel_between_processes():
-    both = SET.union(ParameterSet((MASS,), (("E2", 9e9),)))
+    both = SET.union(ParameterSet((MASS,))).fix(nu12=0.3)
     assert pickle.loads(pickle.dumps(both)) == both

@@ -118,8 +118,7 @@ def test_labels_decide_between_two_constants_that_give_the_same_list(
 def test_the_swarm_reports_modes_beside_the_frequencies_that_they_belong_to(plate: Specimen) -> None:
     # too far apart for the bounds of G12: the labelled modes stay crossed in the answer
     data = listed(np.array([80.0, 84.0]), BENT_FIRST)
-    held = replace(plate.unknowns.without("G12"), fixed=(("G12", 16e9),))
-    narrow = replace(plate, unknowns=held, measurement=data)
+    narrow = replace(plate, unknowns=plate.unknowns.fix(G12=16e9), measurement=data)
     found = estimate_constants(narrow, 0, settings=SwarmSettings(particles=10, iterations=30))
     assert [mode.label for mode in found.predicted] == list(BENT_FIRST)
     assert len(found.error) == 2
