@@ -25,8 +25,8 @@ import numpy as np
 
 import cpam_bayes as cb
 from cpam_bayes.forward_model.calculix import solve_modes
-from cpam_bayes.forward_model.known_errors import shear_frequency, theory_error
 from cpam_bayes.forward_model.model import reference_constants
+from cpam_bayes.forward_model.three_dimensions import shear_frequency, theory_error
 from cpam_bayes.plate import Specimen
 from validation.reporting import (
     paragraph,

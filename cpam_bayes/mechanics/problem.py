@@ -192,6 +192,31 @@ class Term:
 
 
 @dataclass(frozen=True, slots=True)
+class Bias:
+    """What three dimensions make of a frequency f of the theory, f exp(slope f + level).
+
+    slope : 1/Hz
+    """
+
+    slope: float = 0.0
+    level: float = 0.0
+
+    def of(self, f: Array) -> Array:
+        """Frequencies in three dimensions."""
+        return np.asarray(f * np.exp(self.slope * f + self.level)) if self else f
+
+    def slopes(self, f: Array) -> Array:
+        """Their derivatives over those of the theory."""
+        return np.asarray((1.0 + self.slope * f) * np.exp(self.slope * f + self.level))
+
+    def __bool__(self) -> bool:
+        return bool(self.slope or self.level)
+
+
+THEORY_ALONE = Bias()
+
+
+@dataclass(frozen=True, slots=True)
 class Problem:
     """A plate with its unknown parameters: what is to be discretised.
 
@@ -200,6 +225,7 @@ class Problem:
     which parameter values are physical, (...) bool. ``supported`` plates stand on something soft, so that
     their rigid-body motions have low frequencies instead of none.
 
+    ``bias`` : of the theory's frequencies, in all that a model predicts.
     ``rigid_content`` : fields and powers of (xi, eta) that rigid-body motions have besides those of the
     plane rectangle.
     """
@@ -212,6 +238,7 @@ class Problem:
     admissible: Admissible
     supported: bool = False
     rigid_content: tuple[tuple[Field, tuple[int, int]], ...] = ()
+    bias: Bias = THEORY_ALONE
 
     def coefficients(self, values: Values, matrix: MatrixKind) -> Array:
         """Coefficients of every form of K or M at the given values, (..., n_forms)."""

@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose
 
 import cpam_bayes as cb
 from cpam_bayes.forward_model.calculix import solve_modes
-from cpam_bayes.forward_model.known_errors import edge_layer, theory_error
 from cpam_bayes.forward_model.model import (
     NO_PARAMETERS,
     ROOM_AIR,
@@ -18,6 +17,7 @@ from cpam_bayes.forward_model.model import (
     converged_model,
     reference_constants,
 )
+from cpam_bayes.forward_model.three_dimensions import edge_layer, theory_error
 from cpam_bayes.plate import Specimen, builtin
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.render.plate import air_text
