@@ -224,7 +224,7 @@ def common_errors(
     return {name: sd * found.of_sizes[name] for name, sd in common_sd(specimen).items()}
 
 
-# Error of the theory, relative, that is not made a parameter: what a frequency scale is known to.
+# Error of the theory, relative, that is not made a parameter: what a frequency scale is usually known to.
 _NEGLIGIBLE = 1e-4
 # Standard deviations that a number is looked at about its value.
 _REACH = 5.0
@@ -294,6 +294,8 @@ def tolerant(
     for name in (THEORY_SHEAR, THEORY_LEVEL):
         if open_to.get(name, 0.0) * found.of_sizes[name].max() < _NEGLIGIBLE:
             open_to.pop(name, None)
+    if not open_to:
+        return model
     sizes = {**specimen.plate.sizes, FREQUENCY_SCALE: 1.0, THEORY_SHEAR: 1.0, THEORY_LEVEL: 1.0}
     tolerances = ParameterSet(
         tuple(_known_to(name, sizes[name], sd * sizes[name]) for name, sd in open_to.items())

@@ -42,7 +42,7 @@ THEORY_LEVEL: Final = "theory_level"
 _KILOHERTZ: Final = 1000.0
 # Fitted to the bricks of studies/16_theory_error.py by maximum likelihood, with a factor N(1, 0.5^2) of each
 # bias: biases by shear and free edges, common scatter by clamps, and the scatter of single modes by each.
-_SHEAR, _FREE_EDGES, _CLAMPS, _FACTOR = 0.0087, 0.33, 0.012, 0.5
+_SHEAR, _FREE_EDGES, _CLAMPS, _FACTOR = 0.0087, 0.35, 0.012, 0.5
 _FLOOR, _OF_SHEAR, _OF_FREE_EDGES, _OF_CLAMPS = 1e-4, 0.0037, 0.26, 0.0041
 # Points a ply for the integrals over the thickness.
 _POINTS: Final = 8
@@ -53,11 +53,11 @@ _ROWS, _COLUMNS = np.array([0, 0, 1, 2, 0, 1]), np.array([0, 1, 1, 2, 2, 2])
 def theory_bias(specimen: Specimen) -> Bias:
     """The mean of ln f in three dimensions less that of first-order theory with ideal supports.
 
-    b = 0.0087 w - 0.33 h / (a b) sum_free L q, w from `shear_frequency`, L the length of an edge and q its
+    b = 0.0087 w - 0.35 h / (a b) sum_free L q, w from `shear_frequency`, L the length of an edge and q its
     `edge_layer`: transverse shear across the thickness is not what the theory takes it for, which makes it
     too soft, and near a free edge plies that differ shear on each other, which makes it too stiff. Both
     factors are known to a half, N(1, 0.5^2), see `common_theory_errors`. Where ply angles are unknown the
-    part of edges is left out.
+    part of free edges is left out.
 
     It was measured on plates of 240 x 180 mm with ten modes by ``python studies/16_theory_error.py``, which
     holds all plates. Root mean squares over modes of the Ritz model against extrapolated bricks, %, at a
@@ -75,8 +75,8 @@ def theory_bias(specimen: Specimen) -> Bias:
     isotropic, one edge clamped         0.020 0.048 0.108 0.195
     =================================== ===== ===== ===== =====
     """
-    waves = _SHEAR * float(shear_frequency(specimen, 1.0))
-    return Bias(waves, 0.0 if specimen.plate.layup.n_unknown else -_FREE_EDGES * _free_edges(specimen))
+    free, _ = edge_sums(specimen)
+    return Bias(_SHEAR * float(shear_frequency(specimen, 1.0)), -_FREE_EDGES * free)
 
 
 def common_theory_errors(specimen: Specimen) -> dict[str, float]:
@@ -85,8 +85,8 @@ def common_theory_errors(specimen: Specimen) -> dict[str, float]:
     Half of the bias by shear, at 1 kHz; half of that by free edges, and 0.012 h / (a b) sum_clamped L. A real
     clamp is softer than an ideal one, which is a cause of its own.
     """
-    bias = theory_bias(specimen)
-    level = float(np.hypot(_FACTOR * bias.level, _CLAMPS * _clamped_edges(specimen)))
+    bias, (_, clamped) = theory_bias(specimen), edge_sums(specimen)
+    level = float(np.hypot(_FACTOR * bias.level, _CLAMPS * clamped))
     return {THEORY_SHEAR: _FACTOR * bias.slope * _KILOHERTZ, THEORY_LEVEL: level}
 
 
@@ -103,30 +103,26 @@ def theory_error(specimen: Specimen, frequencies: ArrayLike) -> Array:
     frequencies : (n,) Hz
     Raises ``ValueError`` if ply angles are unknown.
     """
-    by_edges = np.hypot(_OF_FREE_EDGES * _free_edges(specimen), _OF_CLAMPS * _clamped_edges(specimen))
+    layup = specimen.plate.layup
+    if layup.n_unknown:
+        raise ValueError(f"layup {layup.text}: a known layup is needed for the error of the theory")
+    free, clamped = edge_sums(specimen)
+    by_edges = np.hypot(_OF_FREE_EDGES * free, _OF_CLAMPS * clamped)
     by_shear = _OF_SHEAR * shear_frequency(specimen, frequencies)
     return np.asarray(np.sqrt(_FLOOR**2 + by_edges**2 + by_shear**2))
 
 
-def _free_edges(specimen: Specimen) -> float:
+def edge_sums(specimen: Specimen) -> tuple[float, float]:
+    """h / (a b) sum L q over free edges, and h / (a b) sum L over clamped ones.
+
+    Free edges of a layup with unknown angles count as those of plies that are all alike.
+    """
     plate = specimen.plate
-    if plate.layup.n_unknown:
-        raise ValueError(f"layup {plate.layup.text}: a known layup is needed for the error of the theory")
-    free = sum(length * edge_layer(specimen, k % 2) for k, length in _edges(specimen, "F"))
-    return free * plate.thickness / plate.area
-
-
-def _clamped_edges(specimen: Specimen) -> float:
-    plate = specimen.plate
-    return sum(length for _, length in _edges(specimen, "C")) * plate.thickness / plate.area
-
-
-def _edges(specimen: Specimen, kind: str) -> list[tuple[int, float]]:
-    """Number and length of each edge that is free, F, or clamped, C."""
-    plate = specimen.plate
-    lengths = (plate.width, plate.length) * 2
-    each = enumerate(conditions(plate.edges))
-    return [(k, lengths[k]) for k, e in each if (e.is_free if kind == "F" else e.is_clamp)]
+    lengths, edges = (plate.width, plate.length) * 2, list(enumerate(conditions(plate.edges)))
+    is_known = not plate.layup.n_unknown
+    free = sum(lengths[k] * edge_layer(specimen, k % 2) for k, e in edges if e.is_free and is_known)
+    clamped = sum(lengths[k] for k, e in edges if e.is_clamp)
+    return free * plate.thickness / plate.area, clamped * plate.thickness / plate.area
 
 
 def shear_frequency(specimen: Specimen, frequencies: ArrayLike) -> Array:
