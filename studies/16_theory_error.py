@@ -9,9 +9,9 @@ elements in the plane; their frequencies are extrapolated as f_fine - (f_coarse 
 right where the error falls with the fourth power of the element's side and too little where it falls
 faster. A third of the difference is the error that is stated for them.
 
-The bias of the theory and what is left open of it are fitted to all bending modes by maximum likelihood, each
-factor known to a half, beside the error of the bricks; fitted to every second plate they are judged on the
-others.
+The bias of the theory and what is left open of it are fitted to all bending modes by maximum likelihood, the
+factor of the bias known to a half, beside the error of the bricks; fitted to every second plate they are
+judged on the others.
 
 Cases that are saved are not run again unless they are named with --only, which alone runs none: the rule
 and the page are then written anew.
@@ -246,7 +246,7 @@ class Plate(NamedTuple):
     clamped: float
 
 
-# Start of the fit: biases by shear and by free edges, scatter by clamps, and of single modes by each.
+# Start of the fit: bias by shear, common scatter by free edges and clamps, and of single modes by each.
 _START = (0.009, 0.36, 0.01, 0.003, 0.2, 0.004)
 _FLOOR, _FACTOR = 1e-4, 0.5
 
@@ -284,7 +284,7 @@ def most_likely(plates: Sequence[Plate]) -> Array:
 
 def chi_squared(coefficients: Array, plate: Plate) -> float:
     """r^T S^-1 r of a plate's modes about the bias."""
-    r = plate.bias - coefficients[0] * plate.shear + coefficients[1] * plate.free
+    r = plate.bias - coefficients[0] * plate.shear
     return float(r @ np.linalg.solve(covariance(coefficients, plate), r))
 
 
@@ -298,7 +298,7 @@ def covariance(coefficients: Array, plate: Plate) -> Array:
     shear, free, clamps, *own = coefficients
     alone = _FLOOR**2 + plate.bricks**2 + (own[0] * plate.shear) ** 2
     alone = alone + (own[1] * plate.free) ** 2 + (own[2] * plate.clamped) ** 2
-    level = (_FACTOR * free * plate.free) ** 2 + (clamps * plate.clamped) ** 2
+    level = (free * plate.free) ** 2 + (clamps * plate.clamped) ** 2
     return np.diag(alone) + (_FACTOR * shear) ** 2 * np.outer(plate.shear, plate.shear) + level
 
 

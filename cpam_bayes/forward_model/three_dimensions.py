@@ -1,8 +1,9 @@
 """What three dimensions make of a frequency of first-order theory, and what is left open of that.
 
-Bricks show a bias that has a sign: with the wave in the thickness the theory is too soft, and at free edges
-of plies that differ too stiff. It is in every prediction that is compared with a measurement. Sandwich
-plates, stiff faces that bend by themselves about a soft core, are what first-order theory lacks.
+Bricks show a bias that has a sign: with the wave in the thickness the theory is too soft. It is in every
+prediction that is compared with a measurement. At free edges of plies that differ the theory is too stiff, by
+how much in which mode is not known: there bricks scatter. Sandwich plates, stiff faces that bend by
+themselves about a soft core, are what first-order theory lacks.
 """
 
 from __future__ import annotations
@@ -40,10 +41,10 @@ THEORY_LEVEL: Final = "theory_level"
 """The relative error that edges give all frequencies."""
 
 _KILOHERTZ: Final = 1000.0
-# Fitted to the bricks of studies/16_theory_error.py by maximum likelihood, with a factor N(1, 0.5^2) of each
-# bias: biases by shear and free edges, common scatter by clamps, and the scatter of single modes by each.
-_SHEAR, _FREE_EDGES, _CLAMPS, _FACTOR = 0.0087, 0.35, 0.012, 0.5
-_FLOOR, _OF_SHEAR, _OF_FREE_EDGES, _OF_CLAMPS = 1e-4, 0.0037, 0.26, 0.0041
+# Fitted to the bricks of studies/16_theory_error.py by maximum likelihood, with a factor N(1, 0.5^2) of the
+# bias: bias by shear, common scatter by free edges and by clamps, and the scatter of single modes by each.
+_SHEAR, _FREE_EDGES, _CLAMPS, _FACTOR = 0.0085, 0.43, 0.012, 0.5
+_FLOOR, _OF_SHEAR, _OF_FREE_EDGES, _OF_CLAMPS = 1e-4, 0.0036, 0.27, 0.0042
 # Points a ply for the integrals over the thickness.
 _POINTS: Final = 8
 # Place of (11, 12, 22, 66, 16, 26) in the matrix of a ply.
@@ -53,11 +54,8 @@ _ROWS, _COLUMNS = np.array([0, 0, 1, 2, 0, 1]), np.array([0, 1, 1, 2, 2, 2])
 def theory_bias(specimen: Specimen) -> Bias:
     """The mean of ln f in three dimensions less that of first-order theory with ideal supports.
 
-    b = 0.0087 w - 0.35 h / (a b) sum_free L q, w from `shear_frequency`, L the length of an edge and q its
-    `edge_layer`: transverse shear across the thickness is not what the theory takes it for, which makes it
-    too soft, and near a free edge plies that differ shear on each other, which makes it too stiff. Both
-    factors are known to a half, N(1, 0.5^2), see `common_theory_errors`. Where ply angles are unknown the
-    part of free edges is left out.
+    b = 0.0085 w, w from `shear_frequency`: transverse shear across the thickness is not what the theory takes
+    it for, which makes it too soft. The factor is known to a half, N(1, 0.5^2), see `common_theory_errors`.
 
     It was measured on plates of 240 x 180 mm with ten modes by ``python studies/16_theory_error.py``, which
     holds all plates. Root mean squares over modes of the Ritz model against extrapolated bricks, %, at a
@@ -75,18 +73,21 @@ def theory_bias(specimen: Specimen) -> Bias:
     isotropic, one edge clamped         0.020 0.048 0.108 0.195
     =================================== ===== ===== ===== =====
     """
-    free, _ = edge_sums(specimen)
-    return Bias(_SHEAR * float(shear_frequency(specimen, 1.0)), -_FREE_EDGES * free)
+    return Bias(_SHEAR * float(shear_frequency(specimen, 1.0)))
 
 
 def common_theory_errors(specimen: Specimen) -> dict[str, float]:
     """What is left open of the theory in all modes alike, relative standard deviations by name.
 
-    Half of the bias by shear, at 1 kHz; half of that by free edges, and 0.012 h / (a b) sum_clamped L. A real
-    clamp is softer than an ideal one, which is a cause of its own.
+    Half of the bias by shear, at 1 kHz, and a level by edges,
+    (0.43 h / (a b) sum_free L q)^2 + (0.012 h / (a b) sum_clamped L)^2, L the length of an edge and q its
+    `edge_layer`: near a free edge plies that differ shear on each other, which makes the plate softer. Which
+    modes that takes most depends on the layup (bricks show -0.1 to -0.9 % on one plate), so the level has no
+    sign: taken for one it went into the constants. A real clamp is softer than an ideal one, which is a cause
+    of its own.
     """
-    bias, (_, clamped) = theory_bias(specimen), edge_sums(specimen)
-    level = float(np.hypot(_FACTOR * bias.level, _CLAMPS * clamped))
+    bias, (free, clamped) = theory_bias(specimen), edge_sums(specimen)
+    level = float(np.hypot(_FREE_EDGES * free, _CLAMPS * clamped))
     return {THEORY_SHEAR: _FACTOR * bias.slope * _KILOHERTZ, THEORY_LEVEL: level}
 
 
@@ -98,7 +99,7 @@ def theory_powers(frequencies: Array) -> dict[str, Array]:
 def theory_error(specimen: Specimen, frequencies: ArrayLike) -> Array:
     """Relative standard deviation by which modes deviate, each by itself, from `theory_bias`, (n,).
 
-    e^2 = 0.0001^2 + (0.0037 w)^2 + (0.26 h / (a b) sum_free L q)^2 + (0.0041 h / (a b) sum_clamped L)^2.
+    e^2 = 0.0001^2 + (0.0036 w)^2 + (0.27 h / (a b) sum_free L q)^2 + (0.0042 h / (a b) sum_clamped L)^2.
 
     frequencies : (n,) Hz
     Raises ``ValueError`` if ply angles are unknown.

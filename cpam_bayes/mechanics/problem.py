@@ -193,24 +193,23 @@ class Term:
 
 @dataclass(frozen=True, slots=True)
 class Bias:
-    """What three dimensions make of a frequency f of the theory, f exp(slope f + level).
+    """What three dimensions make of a frequency f of the theory, f exp(slope f).
 
     slope : 1/Hz
     """
 
     slope: float = 0.0
-    level: float = 0.0
 
     def of(self, f: Array) -> Array:
         """Frequencies in three dimensions."""
-        return np.asarray(f * np.exp(self.slope * f + self.level)) if self else f
+        return np.asarray(f * np.exp(self.slope * f)) if self else f
 
     def slopes(self, f: Array) -> Array:
         """Their derivatives over those of the theory."""
-        return np.asarray((1.0 + self.slope * f) * np.exp(self.slope * f + self.level))
+        return np.asarray((1.0 + self.slope * f) * np.exp(self.slope * f))
 
     def __bool__(self) -> bool:
-        return bool(self.slope or self.level)
+        return self.slope != 0.0
 
 
 THEORY_ALONE = Bias()

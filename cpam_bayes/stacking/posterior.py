@@ -21,7 +21,12 @@ from numpy.typing import NDArray
 from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.model import angle_parameters, reference_vector
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.forward_model.three_dimensions import theory_bias, theory_error
+from cpam_bayes.forward_model.three_dimensions import (
+    THEORY_LEVEL,
+    common_theory_errors,
+    theory_bias,
+    theory_error,
+)
 from cpam_bayes.identification.search import required
 from cpam_bayes.inference.assessment import thinned
 from cpam_bayes.inference.ensemble import (
@@ -138,14 +143,16 @@ def stacking_problem(
 def _theory_error(specimen: Specimen, model: ReducedModel, grid: Array, rng: np.random.Generator) -> Array:
     """Relative sd of first-order theory, (n_modes,): root mean square over sequences of the grid.
 
-    The bias by free edges, of which each sequence has its own, counts as scatter.
+    What free edges give all modes, of which each sequence has its own, counts as scatter of single modes.
     """
     layup, squared = specimen.plate.layup, np.zeros(model.n_modes)
+    of_clamps = common_theory_errors(specimen)[THEORY_LEVEL]
     x = reference_vector(specimen, model.parameters)
     for angles in rng.choice(grid, size=(_THEORY_SEQUENCES, layup.n_unknown)):
         x[: layup.n_unknown] = angles
         one = replace(specimen, plate=replace(specimen.plate, layup=layup.with_angles(angles)))
-        squared += theory_error(one, model.predict(x[None]).frequencies[0]) ** 2 + theory_bias(one).level ** 2
+        squared += theory_error(one, model.predict(x[None]).frequencies[0]) ** 2
+        squared += common_theory_errors(one)[THEORY_LEVEL] ** 2 - of_clamps**2
     return np.asarray(np.sqrt(squared / _THEORY_SEQUENCES))
 
 

@@ -86,12 +86,11 @@ def test_edge_layer_is_thin_where_plies_alternate_often() -> None:
 
 
 def test_only_free_edges_have_a_layer() -> None:
-    held, free = (theory_bias(carbon("[0/45/-45/90]_s", e)) for e in ("CCCC", "FFFF"))
-    assert held.level == 0.0
-    assert free.level < -1e-3
+    held, free = (common_theory_errors(carbon("[0/45/-45/90]_s", e))[THEORY_LEVEL] for e in ("CCCC", "FFFF"))
     # clamps scatter by 0.012 h times the perimeter over the area
-    alone = common_theory_errors(carbon("[0/45/-45/90]_s", "CCCC"))[THEORY_LEVEL]
-    assert alone == pytest.approx(0.012 * 3.6 * 840.0 / (240.0 * 180.0), rel=1e-9)
+    assert held == pytest.approx(0.012 * 3.6 * 840.0 / (240.0 * 180.0), rel=1e-9)
+    assert free > 2 * held
+    assert common_theory_errors(carbon("[0]"))[THEORY_LEVEL] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_error_grows_with_thickness_and_frequency() -> None:
@@ -117,7 +116,7 @@ def rms(values: Sequence[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def test_the_rule_takes_most_of_the_difference_off_and_states_what_it_leaves() -> None:
+def test_the_rule_takes_the_bias_of_shear_off_and_states_what_it_leaves() -> None:
     taken, judged = 0, 0
     for case in saved_cases():
         modes = case["modes"]
@@ -127,23 +126,33 @@ def test_the_rule_takes_most_of_the_difference_off_and_states_what_it_leaves() -
         )
         left = rms([m["difference_percent"] - m["bias_percent"] for m in modes])
         assert left < 3.0 * np.hypot(stated, bricks), case["case"]
-        if difference > 0.05:
+        if difference > 0.05 and case["layup"] in ("[0/90]_2s", "[0]") and case["edges"] == "FFFF":
             judged, taken = judged + 1, taken + (left < 0.8 * difference)
-    assert judged > 25
-    assert taken > 0.7 * judged
+    assert judged > 7
+    assert taken > 0.8 * judged
 
 
-@pytest.mark.parametrize(
-    ("layup", "sign"), [("[0/90]_2s", 1.0), ("[0]", 1.0), ("[0/45/-45/90]_s", -1.0), ("[45/-45]_2s", -1.0)]
-)
-def test_the_bias_has_the_sign_that_bricks_have(layup: str, sign: float) -> None:
+@pytest.mark.parametrize("layup", ["[0/90]_2s", "[0]"])
+def test_the_bias_is_what_bricks_show(layup: str) -> None:
+    measured, predicted, _ = mean_shift(layup)
+    assert measured > 1e-4
+    assert predicted == pytest.approx(measured, rel=0.5)
+
+
+@pytest.mark.parametrize("layup", ["[0/45/-45/90]_s", "[45/-45]_2s"])
+def test_free_edges_lower_all_modes_within_their_common_error(layup: str) -> None:
+    measured, predicted, level = mean_shift(layup)
+    assert -2.0 * level < measured - predicted < -0.3 * level
+
+
+def mean_shift(layup: str) -> tuple[float, float, float]:
+    """Mean ln f of bricks less theory, the rule's bias, and its error common to all modes."""
     of_layup = [c for c in saved_cases() if c["layup"] == layup and "carbon" in c["case"]]
     (case,) = (c for c in of_layup if c["edges"] == "FFFF" and "h/b = 1/25" in c["case"])
-    measured = np.mean([m["bricks_hz"] / m["ritz_hz"] - 1.0 for m in case["modes"]])
-    f = np.array([m["ritz_hz"] for m in case["modes"]])
-    predicted = np.mean(theory_bias(carbon(layup, thickness_mm=7.2)).of(f) / f - 1.0)
-    assert sign * measured > 0.0
-    assert predicted == pytest.approx(measured, rel=0.5)
+    plate, f = carbon(layup, thickness_mm=7.2), np.array([m["ritz_hz"] for m in case["modes"]])
+    measured = float(np.mean(np.log([m["bricks_hz"] / m["ritz_hz"] for m in case["modes"]])))
+    predicted = float(np.mean(np.log(theory_bias(plate).of(f) / f)))
+    return measured, predicted, common_theory_errors(plate)[THEORY_LEVEL]
 
 
 def test_the_coefficients_are_those_that_the_study_fits() -> None:
@@ -155,11 +164,8 @@ def test_the_coefficients_are_those_that_the_study_fits() -> None:
     w, (of_free, of_clamped) = shear_frequency(plate, f), edge_sums(plate)
     bias, common = theory_bias(plate), common_theory_errors(plate)
     assert bias.slope == pytest.approx(shear * w[0] / f[0], rel=0.02)
-    assert bias.level == pytest.approx(-free * of_free, rel=0.02)
     assert common[THEORY_SHEAR] == pytest.approx(500.0 * bias.slope, rel=1e-12)
-    assert common[THEORY_LEVEL] == pytest.approx(
-        np.hypot(0.5 * free * of_free, clamps * of_clamped), rel=0.03
-    )
+    assert common[THEORY_LEVEL] == pytest.approx(np.hypot(free * of_free, clamps * of_clamped), rel=0.03)
     alone = np.sqrt(
         1e-8 + (scatter[0] * w) ** 2 + (scatter[1] * of_free) ** 2 + (scatter[2] * of_clamped) ** 2
     )
@@ -189,7 +195,7 @@ def test_predictions_and_their_slopes_have_the_bias() -> None:
 
 
 def test_constants_of_a_plate_in_three_dimensions_are_not_biased() -> None:
-    # bricks of a quasi-isotropic plate of 7.2 mm, whose free edges lower every frequency by half a per cent
+    # bricks of a quasi-isotropic plate of 7.2 mm, whose free edges lower frequencies by 0.1 to 0.9 %
     (case,) = (c for c in saved_cases() if c["case"] == "carbon, quasi-isotropic, FFFF, h/b = 1/25")
     table = described((240.0, 180.0, 7.2), 1580.0, CARBON, layup="[0/45/-45/90]_s", edges="FFFF")
     table |= {"unknowns": UNKNOWNS}
