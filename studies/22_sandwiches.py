@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 
 import cpam_bayes as cb
 from cpam_bayes.forward_model.calculix import solve_modes
-from cpam_bayes.forward_model.known_errors import LIMIT, sandwich_error
 from cpam_bayes.forward_model.model import reference_constants
+from cpam_bayes.forward_model.three_dimensions import LIMIT, sandwich_error
 from cpam_bayes.plate import Specimen
 from validation.reporting import paragraph, save_results, write_sections
 

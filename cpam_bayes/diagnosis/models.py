@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.effects import Effect, PlateFacts, extend
 from cpam_bayes.forward_model.build import basis_tolerance, model_key, remembered, without_matrices
-from cpam_bayes.forward_model.known_errors import common_errors, theory_error
+from cpam_bayes.forward_model.known_errors import common_errors
 from cpam_bayes.forward_model.local.basis import BarePlate, patch_model, point_mass_model
 from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.model import (
@@ -30,6 +30,7 @@ from cpam_bayes.forward_model.model import (
     size_parameters,
 )
 from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings, reduce
+from cpam_bayes.forward_model.three_dimensions import theory_bias, theory_error
 from cpam_bayes.mechanics.affine import AffineOperator
 from cpam_bayes.mechanics.convergence import Tolerance, converge
 from cpam_bayes.mechanics.problem import Problem, any_of
@@ -83,7 +84,7 @@ class ConvergedPlate:
 class PlateModels(ConvergedPlate):
     """A converged plate with its reduced model.
 
-    theory_error : (n_modes,) of first-order theory at the reference constants, relative
+    theory_error : (n_modes,) scatter of first-order theory at the reference constants, relative
     tolerances : name of a size, the density or mass, or the frequency scale that is no parameter ->
         (n_modes,) relative changes of the frequencies by one standard deviation of it
     bare : its reduced model
@@ -208,7 +209,8 @@ def extended_on_space(plate: ConvergedPlate, effect: Effect) -> PlateModel:
 
 def _bare(specimen: Specimen, other_material: bool) -> tuple[ParameterSet, Problem, Samples]:
     parameters = diagnosis_parameters(specimen, other_material=other_material)
-    problem = replace(plate_problem(specimen, parameters), rigid_content=_CONTENT)
+    problem = plate_problem(specimen, parameters)
+    problem = replace(problem, rigid_content=_CONTENT, bias=theory_bias(specimen))
     return parameters, problem, convergence_samples(specimen, problem)
 
 

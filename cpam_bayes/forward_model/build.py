@@ -21,6 +21,7 @@ from cpam_bayes.forward_model.model import (
 )
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, reduce
 from cpam_bayes.mechanics.affine import AffineOperator
+from cpam_bayes.mechanics.problem import THEORY_ALONE, Bias
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement, Specimen
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, ShearModel
@@ -119,15 +120,18 @@ def reduced_model(
     settings: ReductionSettings = DEFAULT_SETTINGS,
     centre: Array | None = None,
     near: Neighbour | None = None,
+    bias: Bias = THEORY_ALONE,
     notify: Callable[[str], None] = lambda text: None,
 ) -> ReducedModel:
     """The reduced model of a specimen over the prior box of its parameters.
+
+    bias : of the theory, where measured frequencies are compared with it
 
     centre : the parameter vector about which the plate model is converged most tightly, by default
     the reference constants. near : where it suits the plate is not converged anew, with the neighbour's
     error. ``notify`` is called with what takes long. The same request gives the same model.
     """
-    key = model_key(specimen, parameters, n_modes, shear, settings, centre)
+    key = f"{model_key(specimen, parameters, n_modes, shear, settings, centre)} {bias}"
     with _lock:
         is_made = key in _made
     if near is not None and (is_made or not near.suits(specimen, parameters, n_modes)):
@@ -142,6 +146,8 @@ def reduced_model(
             samples = convergence_samples(specimen, problem, centre).x
             full = model_on_basis(problem, samples, n_modes, near.model.error, near.model.basis)
         notify("building the reduced model")
+        problem = replace(full.operator.problem, bias=bias)
+        full = replace(full, operator=replace(full.operator, problem=problem))
         # the seed is fixed: a model does not depend on the run that first needed it
         return reduce(full, np.random.default_rng(0), settings)
 

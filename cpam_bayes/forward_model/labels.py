@@ -317,7 +317,7 @@ class LabelledModel:
         """Frequencies at parameter vectors (m, n), in the places of the list, and derivatives."""
         spectrum = self.fast.spectrum(x, vectors=True)
         order = self._order(spectrum)
-        frequencies = np.take_along_axis(spectrum.frequencies, order, axis=1)
+        frequencies = self.fast.bias.of(np.take_along_axis(spectrum.frequencies, order, axis=1))
         if not jacobian:
             return Prediction(frequencies, None)
         derivative = self.reduced.predict(x, jacobian=True).jacobian

@@ -24,7 +24,7 @@ from cpam_bayes.mechanics.modes import (
     shapes_on_grid,
     solve,
 )
-from cpam_bayes.mechanics.problem import PlateState, Problem, Values, bare_plate
+from cpam_bayes.mechanics.problem import Bias, PlateState, Problem, Values, bare_plate
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import Parameter, ParameterSet, Prior, TruncatedLogNormal, TruncatedNormal, Uniform
 from cpam_bayes.plate import Hybrid, Material, Plate, Specimen, split_name
@@ -282,6 +282,11 @@ class PlateModel:
         """The parameters that vary, in the order of the vectors."""
         return self.operator.problem.parameters
 
+    @property
+    def bias(self) -> Bias:
+        """That of the theory, in the frequencies that are predicted."""
+        return self.operator.problem.bias
+
     def admissible(self, x: Array) -> Array:
         """True where parameter vectors (m, n) satisfy the constraints of the material, (m,) bool."""
         return self.operator.problem.admissible(self.parameters.mapping(x))
@@ -298,18 +303,20 @@ class PlateModel:
         """
         x = np.atleast_2d(x)
         if not jacobian:
-            return Prediction(self.spectrum(x).frequencies, None)
+            return Prediction(self.bias.of(self.spectrum(x).frequencies), None)
         coefficients, slopes = self._with_derivatives(x)
         spectrum = solve(self.operator, *coefficients, self.n_modes, vectors=True)
         f = spectrum.frequencies
         derivative = eigenvalue_derivatives(self.operator, spectrum, *slopes)
-        return Prediction(f, derivative / (8 * np.pi**2 * f[..., None]))
+        return biased(Prediction(f, derivative / (8 * np.pi**2 * f[..., None])), self.bias)
 
     def modes(self, x: Array) -> tuple[Mode, ...]:
         """Frequencies, kinds and labels at one parameter vector (n,)."""
         spectrum = self.spectrum(x, vectors=True)
         _, mass = self.coefficients(np.atleast_2d(x))
-        return describe_modes(self.operator, spectrum, mass)
+        modes = describe_modes(self.operator, spectrum, mass)
+        f = self.bias.of(spectrum.frequencies[0]).tolist()
+        return tuple(replace(mode, frequency=each) for mode, each in zip(modes, f, strict=True))
 
     def shapes(self, x: Array) -> Array:
         """Shapes of the modes at one parameter vector (n,): u, v, w on a grid, (n_modes, 3, 31, 31)."""
@@ -348,6 +355,14 @@ class PlateModel:
         k, mass = (np.broadcast_to(c, (m, n, c.shape[-1])) for c in stepped)
         d_k, d_mass = (np.swapaxes(c.imag / step[:, :, None], 1, 2) for c in (k, mass))
         return (k.real[:, 0], mass.real[:, 0]), (d_k, d_mass)
+
+
+def biased(prediction: Prediction, bias: Bias) -> Prediction:
+    """The prediction of the theory with its bias."""
+    f, slopes = prediction.frequencies, prediction.jacobian
+    if not bias:
+        return prediction
+    return Prediction(bias.of(f), None if slopes is None else slopes * bias.slopes(f)[..., None])
 
 
 def training_sets(problem: Problem, n: int, rng: np.random.Generator) -> Array:
@@ -489,7 +504,7 @@ def discretisation_error(model: PlateModel, x: Array) -> Array:
     x = np.atleast_2d(x)
     problem = model.operator.problem
     finer = rich_frequencies(problem, model.parameters.mapping(x), model.n_modes)
-    difference = np.abs(model.predict(x).frequencies / finer.frequencies - 1.0)
+    difference = np.abs(model.predict(x).frequencies / problem.bias.of(finer.frequencies) - 1.0)
     return np.asarray((difference + finer.error).max(axis=0))
 
 

@@ -2,9 +2,9 @@
 
     y = f(c) (1 + J t + d) + e
 
-with e the noise, t the errors of sizes, mass and frequency scale, d the scatter of solver and theory: all
-Gaussian, in one covariance matrix. Several lists of one material share the constants. Moments of these are by
-importance sampling about all optima.
+with e the noise, t the errors of sizes, mass, frequency scale and theory in common, d the scatter of solver
+and theory from mode to mode: all Gaussian, in one covariance matrix. Several lists of one material share the
+constants. Moments of these are by importance sampling about all optima.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from itertools import pairwise
 import numpy as np
 
 from cpam_bayes.forward_model.composed import ComposedModel, Part
-from cpam_bayes.forward_model.known_errors import Array, common_covariance, common_errors, theory_error
+from cpam_bayes.forward_model.known_errors import Array, common_covariance, common_errors
 from cpam_bayes.forward_model.labels import LabelledModel, list_order
 from cpam_bayes.forward_model.preconditions import birge_ratio
 from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.forward_model.three_dimensions import theory_error
 from cpam_bayes.inference.derivatives import NormalScores
 from cpam_bayes.inference.log_density import Listed, LogDensity, log_residuals
 from cpam_bayes.inference.posterior import NOISE, NOISE_PRIOR

@@ -15,6 +15,7 @@ from cpam_bayes.answer import Constant, Notice, Reliance
 from cpam_bayes.forward_model.labels import LabelledModel, list_order
 from cpam_bayes.forward_model.model import constant_parameters, discretisation_error, plate_problem
 from cpam_bayes.forward_model.reduced import basis_error
+from cpam_bayes.forward_model.three_dimensions import theory_bias
 from cpam_bayes.identification.density import Model, lists_density, optima_about, sampled
 from cpam_bayes.identification.point import reliances, sampled_constants
 from cpam_bayes.identification.search import MOST_SWARMS, required, search, shifted
@@ -125,6 +126,7 @@ def estimate_jointly(
             swarms=swarms,
             settings=settings,
             residual="whitened",
+            bias=theory_bias(specimen),
             progress=shifted(progress, i * swarms * settings.iterations),
             notify=notify,
         )

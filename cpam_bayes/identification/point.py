@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, t
 
 from cpam_bayes.answer import Constant, Notice, Reliance, Verdict, as_written
-from cpam_bayes.forward_model.known_errors import ScaleError, absorbed, sandwich_notices, sizes_spread
+from cpam_bayes.forward_model.known_errors import ScaleError, absorbed, sizes_spread
 from cpam_bayes.forward_model.labels import (
     LabelledModel,
     ShapePairing,
@@ -35,6 +35,7 @@ from cpam_bayes.forward_model.preconditions import (
     units_notices,
 )
 from cpam_bayes.forward_model.reduced import ReducedModel, basis_error
+from cpam_bayes.forward_model.three_dimensions import sandwich_notices, theory_bias
 from cpam_bayes.identification.density import Draws, lists_density, optima_about, sampled
 from cpam_bayes.identification.search import Optimum, Residual, Search, required, search
 from cpam_bayes.inference.assessment import cut_notices, limiting_constraints
@@ -45,6 +46,7 @@ from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import Optima
 from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings
 from cpam_bayes.mechanics.modes import Mode
+from cpam_bayes.mechanics.problem import THEORY_ALONE
 from cpam_bayes.parameters import ParameterSet, Uniform
 from cpam_bayes.plate import Measurement, Specimen
 from cpam_bayes.plate.laminate import flexural_constants
@@ -201,6 +203,7 @@ def estimate_constants(
         swarms=swarms,
         settings=settings,
         residual=residual,
+        bias=theory_bias(specimen) if residual == "whitened" else THEORY_ALONE,
         progress=progress,
         notify=notify,
     )

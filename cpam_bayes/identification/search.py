@@ -28,12 +28,14 @@ from cpam_bayes.forward_model.model import (
 )
 from cpam_bayes.forward_model.preconditions import explained_failures, require_choice, require_supported
 from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings
+from cpam_bayes.forward_model.three_dimensions import theory_bias
 from cpam_bayes.identification.density import residual_sd, scatter
 from cpam_bayes.inference.derivatives import Expansion
 from cpam_bayes.inference.laplace import maximise, polish
 from cpam_bayes.inference.posterior import Likelihood, Posterior, plate_posterior
 from cpam_bayes.inference.sampling import swarm_on_posterior
 from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings, material_swarm, minimise
+from cpam_bayes.mechanics.problem import THEORY_ALONE, Bias
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement, PlateLike, Specimen, read_plate
 from cpam_bayes.running import cut_short, is_time_up, single_blas_thread
@@ -127,6 +129,7 @@ def search(
     spare: int = 0,
     settings: SwarmSettings | None = None,
     residual: Residual = "absolute",
+    bias: Bias = THEORY_ALONE,
     centre: Array | None = None,
     progress: Callable[[int, float], None] | None = None,
     notify: Callable[[str], None] = lambda text: None,
@@ -139,6 +142,7 @@ def search(
 
     swarms : at most so many; 1 is the paper's single swarm as it ends, not polished
     spare : modes of the model more than the list has
+    bias : of the theory, in the frequencies that are compared
     centre : (n,) constants where the plate model is converged; left out, it is at the reference, and at the
         answer if that is far from it
     progress : told the iteration, of all swarms together, and the best misfit of the one that is running
@@ -149,7 +153,9 @@ def search(
     stays, solves, least = centre is not None, 0, np.inf
     reduction = ReductionSettings(basis_tolerance(measurement))
     for attempt in range(1, _MOST_MODELS + 1):
-        reduced = reduced_model(specimen, unknowns, n_modes, settings=reduction, centre=centre, notify=notify)
+        reduced = reduced_model(
+            specimen, unknowns, n_modes, settings=reduction, centre=centre, bias=bias, notify=notify
+        )
         model = labelled_model(reduced, measurement, specimen)
         at = reference_vector(specimen, unknowns) if centre is None else centre
         sd = residual_sd(specimen, model, at) if residual == "whitened" else None
@@ -473,10 +479,16 @@ def posterior(
     parameters = unknowns.union(size_parameters(specimen))
     with explained_failures(specimen):
         reduction = ReductionSettings(basis_tolerance(measurement))
-        reduced = reduced_model(specimen, parameters, measurement.size + spare, settings=reduction, near=near)
+        n_modes, bias = measurement.size + spare, _bias_of(specimen, likelihood)
+        reduced = reduced_model(specimen, parameters, n_modes, settings=reduction, near=near, bias=bias)
     model = labelled_model(reduced, measurement, specimen)
     at = reference_vector(specimen, parameters)
     return _posterior_about(specimen, model, at, reduced.full.error, likelihood, degrees_of_freedom)
+
+
+def _bias_of(specimen: Specimen, likelihood: Likelihood) -> Bias:
+    """That of the theory; eq. (7), the absolute likelihood, is of the theory alone."""
+    return THEORY_ALONE if likelihood == "absolute" else theory_bias(specimen)
 
 
 def _posterior_about(
@@ -530,19 +542,19 @@ def start_of(
     measurement, unknowns = required(specimen)
     sizes = size_parameters(specimen)
     parameters = unknowns.union(sizes)
-    reduction = ReductionSettings(basis_tolerance(measurement))
+    reduction, bias = ReductionSettings(basis_tolerance(measurement)), _bias_of(specimen, likelihood)
 
     if not measurement.complete:
         spare = max(_SPARE_MODES, spare_modes(measurement))
         reduced = reduced_model(
-            specimen, parameters, measurement.size + spare, settings=reduction, notify=notify
+            specimen, parameters, measurement.size + spare, settings=reduction, bias=bias, notify=notify
         )
         model = labelled_model(reduced, measurement, specimen)
         at = reference_vector(specimen, parameters)
         target = _posterior_about(specimen, model, at, reduced.full.error, likelihood, degrees_of_freedom)
         bests, values, solves = swarm_on_posterior(target, seed, swarm_settings or SwarmSettings())
         return Start(target, model, bests, values, solves)
-    searched = search(specimen, seed, spare=_ONE_MORE, settings=swarm_settings, notify=notify)
+    searched = search(specimen, seed, spare=_ONE_MORE, settings=swarm_settings, bias=bias, notify=notify)
     swarm, model, error = searched.swarm, searched.model, searched.error
     at = swarm.best
     if sizes.size:
@@ -550,7 +562,13 @@ def start_of(
         at = np.append(at, nominal)
         centre = None if searched.centre is None else np.append(searched.centre, nominal)
         reduced = reduced_model(
-            specimen, parameters, model.n_modes, settings=reduction, centre=centre, notify=notify
+            specimen,
+            parameters,
+            model.n_modes,
+            settings=reduction,
+            centre=centre,
+            bias=bias,
+            notify=notify,
         )
         model = labelled_model(reduced, measurement, specimen)
         error = discretisation_error(reduced.full, at)

@@ -192,6 +192,30 @@ class Term:
 
 
 @dataclass(frozen=True, slots=True)
+class Bias:
+    """What three dimensions make of a frequency f of the theory, f exp(slope f).
+
+    slope : 1/Hz
+    """
+
+    slope: float = 0.0
+
+    def of(self, f: Array) -> Array:
+        """Frequencies in three dimensions."""
+        return np.asarray(f * np.exp(self.slope * f)) if self else f
+
+    def slopes(self, f: Array) -> Array:
+        """Their derivatives over those of the theory."""
+        return np.asarray((1.0 + self.slope * f) * np.exp(self.slope * f))
+
+    def __bool__(self) -> bool:
+        return self.slope != 0.0
+
+
+THEORY_ALONE = Bias()
+
+
+@dataclass(frozen=True, slots=True)
 class Problem:
     """A plate with its unknown parameters: what is to be discretised.
 
@@ -200,6 +224,7 @@ class Problem:
     which parameter values are physical, (...) bool. ``supported`` plates stand on something soft, so that
     their rigid-body motions have low frequencies instead of none.
 
+    ``bias`` : of the theory's frequencies, in all that a model predicts.
     ``rigid_content`` : fields and powers of (xi, eta) that rigid-body motions have besides those of the
     plane rectangle.
     """
@@ -212,6 +237,7 @@ class Problem:
     admissible: Admissible
     supported: bool = False
     rigid_content: tuple[tuple[Field, tuple[int, int]], ...] = ()
+    bias: Bias = THEORY_ALONE
 
     def coefficients(self, values: Values, matrix: MatrixKind) -> Array:
         """Coefficients of every form of K or M at the given values, (..., n_forms)."""

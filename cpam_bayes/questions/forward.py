@@ -16,7 +16,6 @@ from cpam_bayes.answer import Notice
 from cpam_bayes.command import MODES, PLATE, Command, option
 from cpam_bayes.errors import checked
 from cpam_bayes.formatting import NOT_KNOWN, signed, significant
-from cpam_bayes.forward_model.known_errors import sandwich_notices
 from cpam_bayes.forward_model.labels import (
     MeasuredFrequency,
     ShapePairing,
@@ -43,6 +42,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_supported,
     units_notices,
 )
+from cpam_bayes.forward_model.three_dimensions import sandwich_notices
 from cpam_bayes.mechanics.modes import (
     UNIT_SQUARE,
     Extent,

@@ -28,6 +28,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_supported,
     require_whole,
 )
+from cpam_bayes.forward_model.three_dimensions import theory_bias
 from cpam_bayes.mechanics.modes import Mode
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, unit_of, user_name
@@ -205,7 +206,8 @@ def _predicted(
     parameters = ParameterSet(tuple(_over(name, values) for name, values in drawn.items()))
     x = parameters.vector(drawn)[possible]
     centre = x.mean(axis=0)
-    model = reduced_model(specimen, parameters, n_modes, centre=centre, notify=notify)
+    bias = theory_bias(specimen)
+    model = reduced_model(specimen, parameters, n_modes, centre=centre, bias=bias, notify=notify)
     f = model.predict(x).frequencies
     described = model.full.modes(centre)
     error = model.full.error

@@ -73,8 +73,9 @@ def scanned_starts(
 
     Second, the misfits of their frequencies, root mean squares of logarithms, (m, n).
 
-    Stiffnesses that are all multiplied by a^2 multiply all frequencies by a: each member counts with the
-    factor that suits the list best, as far as the bounds allow. Where modes cross, optima are many, and
+    Stiffnesses that are all multiplied by a^2 multiply all frequencies by a (but for the bias of the theory):
+    each member counts with the factor that suits the list best, as far as the bounds allow. Where modes
+    cross, optima are many, and
     the nearest member is in the right one more often than a fixed start. An inferred noise starts at the
     misfit.
 

@@ -19,9 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.build import reduced_model
-from cpam_bayes.forward_model.known_errors import theory_error
 from cpam_bayes.forward_model.model import angle_parameters, reference_vector
 from cpam_bayes.forward_model.reduced import ReducedModel
+from cpam_bayes.forward_model.three_dimensions import (
+    THEORY_LEVEL,
+    common_theory_errors,
+    theory_bias,
+    theory_error,
+)
 from cpam_bayes.identification.search import required
 from cpam_bayes.inference.assessment import thinned
 from cpam_bayes.inference.ensemble import (
@@ -118,7 +123,7 @@ def stacking_problem(
     sums = None if few and (layup.kinds or not layup.is_symmetric) else ply_sums(layup, grid)
     n_modes = measurement.size + (0 if measurement.complete else _SPARE_MODES)
     parameters = angle_parameters(specimen).union(unknowns)
-    model = reduced_model(specimen, parameters, n_modes, notify=notify)
+    model = reduced_model(specimen, parameters, n_modes, bias=theory_bias(specimen), notify=notify)
     by_theory = _theory_error(specimen, model, grid, np.random.default_rng([seed, 10]))
     error = np.sqrt(model.full.error**2 + model.tolerance**2 + by_theory**2)
     conditional = conditional_posterior(model, layup.n_unknown, measurement, error)
@@ -136,13 +141,18 @@ def stacking_problem(
 
 
 def _theory_error(specimen: Specimen, model: ReducedModel, grid: Array, rng: np.random.Generator) -> Array:
-    """Relative sd of first-order theory, (n_modes,): root mean square over sequences of the grid."""
+    """Relative sd of first-order theory, (n_modes,): root mean square over sequences of the grid.
+
+    What free edges give all modes, of which each sequence has its own, counts as scatter of single modes.
+    """
     layup, squared = specimen.plate.layup, np.zeros(model.n_modes)
+    of_clamps = common_theory_errors(specimen)[THEORY_LEVEL]
     x = reference_vector(specimen, model.parameters)
     for angles in rng.choice(grid, size=(_THEORY_SEQUENCES, layup.n_unknown)):
         x[: layup.n_unknown] = angles
         one = replace(specimen, plate=replace(specimen.plate, layup=layup.with_angles(angles)))
         squared += theory_error(one, model.predict(x[None]).frequencies[0]) ** 2
+        squared += common_theory_errors(one)[THEORY_LEVEL] ** 2 - of_clamps**2
     return np.asarray(np.sqrt(squared / _THEORY_SEQUENCES))
 
 

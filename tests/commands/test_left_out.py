@@ -51,6 +51,7 @@ def contains_the_truth(found: cb.DiagnosisResult) -> bool:
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_diagnose_leads_with_it_in_exact_frequencies(loaded: np.ndarray) -> None:
     found = cb.diagnose(without_sensor(loaded), next_test="never")
     # eight frequencies without a stated noise: a mass of another form than a point may be a misreading

@@ -143,7 +143,7 @@ def _patch(x: float, y: float, plate: NominalPlate) -> Aux:
 # What frequencies can show, at sizes and places that no grid has.
 SHOWN = (
     Case("sensor_mass", FREE, 0.031, {"x": 0.8437, "y": 0.2362}, quick=True),
-    Case("edge_mass", FREE, made=_taped),
+    Case("edge_mass", FREE, made=_taped, weekly=True),
     Case("support", FREE, 34.0, weekly=True),
     Case("soft_support", SUPPORTED, made=_on_soft_supports),
     Case("length", FREE, 0.0171, sets=True),
@@ -163,13 +163,13 @@ SHOWN = (
     Case("soft_clamp", CLAMPED, 2.3, {"ratio": 1.55}, weekly=True),
     Case("clamp_slip", CLAMPED, 0.13, weekly=True),
     Case("clamp_length", CLAMPED, 4.1e-3, weekly=True),
-    Case("misorientation", THICK, 8.3, sets=True),
+    Case("misorientation", THICK, 8.3, sets=True, weekly=True),
     Case("outer_ply_angle", THICK, 17.0, weekly=True),
     Case("inner_ply_angle", THICK, 63.0, weekly=True),
     Case("layup", THICK, made=_one_ply_missing, sets=True),
-    Case("swapped_sides", THICK, made=_sides_exchanged, sets=True),
+    Case("swapped_sides", THICK, made=_sides_exchanged, sets=True, weekly=True),
     Case("transverse_shear", THICK, -0.87, weekly=True),
-    Case("material", THICK, made=_of_another_material),
+    Case("material", THICK, made=_of_another_material, weekly=True),
 )
 # Half the ratio that is assumed, the least that is possible: what these frequencies show and do not decide.
 OPEN = Case("shear_ratio", THICK, -0.49)
@@ -268,6 +268,7 @@ def test_nothing_is_claimed_of_a_plate_without_a_flaw(plate: NominalPlate) -> No
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_a_list_that_says_it_lacks_modes_is_diagnosed_like_any_other() -> None:
     (mass,) = (case for case in SHOWN if case.cause == "sensor_mass")
 

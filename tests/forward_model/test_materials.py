@@ -11,10 +11,10 @@ from numpy.testing import assert_allclose
 import cpam_bayes as cb
 from cpam_bayes.forward_model.build import model_key
 from cpam_bayes.forward_model.calculix import solve_modes
-from cpam_bayes.forward_model.known_errors import LIMIT, sandwich_error
 from cpam_bayes.forward_model.model import NO_PARAMETERS, plate_problem, reference_constants
 from cpam_bayes.forward_model.preconditions import exchange_notices
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS
+from cpam_bayes.forward_model.three_dimensions import LIMIT, sandwich_error
 from cpam_bayes.mechanics.convergence import Tolerance
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, flexural_constants
 from cpam_bayes.render.notices import sentence_of

@@ -1,23 +1,37 @@
 """What the model leaves out: three dimensions beside first-order theory, by rule and on bricks, and air."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 import cpam_bayes as cb
+from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.calculix import solve_modes
-from cpam_bayes.forward_model.known_errors import edge_layer, theory_error
 from cpam_bayes.forward_model.model import (
     NO_PARAMETERS,
     ROOM_AIR,
     air_shifts,
     converged_model,
     reference_constants,
+    reference_vector,
 )
+from cpam_bayes.forward_model.three_dimensions import (
+    THEORY_LEVEL,
+    THEORY_SHEAR,
+    common_theory_errors,
+    edge_layer,
+    edge_sums,
+    shear_frequency,
+    theory_bias,
+    theory_error,
+)
+from cpam_bayes.mechanics.problem import THEORY_ALONE
 from cpam_bayes.plate import Specimen, builtin
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.render.plate import air_text
@@ -27,10 +41,13 @@ from tests.plate_file import described
 SAVED = Path(__file__).parents[2] / "studies" / "results" / "16_theory_error.json"
 
 
+CARBON = {"isotropic": False, "E1_GPa": 130.0, "E2_GPa": 9.0, "nu12": 0.3, "G12_GPa": 5.0}
+UNKNOWNS = {"E1_GPa": [90.0, 170.0], "E2_GPa": [6.0, 12.0], "nu12": [0.1, 0.5], "G12_GPa": [3.0, 7.0]}
+
+
 def carbon(layup: str, edges: str = "FFFF", thickness_mm: float = 3.6) -> Specimen:
-    material = {"isotropic": False, "E1_GPa": 130.0, "E2_GPa": 9.0, "nu12": 0.3, "G12_GPa": 5.0}
     size = 240.0, 180.0, thickness_mm
-    return cb.read_plate(described(size, 1580.0, material, layup=layup, edges=edges))
+    return cb.read_plate(described(size, 1580.0, CARBON, layup=layup, edges=edges))
 
 
 @pytest.mark.parametrize("layup", ["[0]", "[30_4]", "[90]"])
@@ -69,11 +86,11 @@ def test_edge_layer_is_thin_where_plies_alternate_often() -> None:
 
 
 def test_only_free_edges_have_a_layer() -> None:
-    f = [100.0]
-    held, free = (theory_error(carbon("[0/45/-45/90]_s", e), f)[0] for e in ("CCCC", "FFFF"))
-    # what a clamp adds itself is 0.018 h times the perimeter over the area
-    assert held == pytest.approx(0.018 * 3.6 * 840.0 / (240.0 * 180.0), rel=0.05)
+    held, free = (common_theory_errors(carbon("[0/45/-45/90]_s", e))[THEORY_LEVEL] for e in ("CCCC", "FFFF"))
+    # clamps scatter by 0.012 h times the perimeter over the area
+    assert held == pytest.approx(0.012 * 3.6 * 840.0 / (240.0 * 180.0), rel=1e-9)
     assert free > 2 * held
+    assert common_theory_errors(carbon("[0]"))[THEORY_LEVEL] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_error_grows_with_thickness_and_frequency() -> None:
@@ -89,24 +106,109 @@ def test_a_layup_with_unknown_angles_is_refused() -> None:
         theory_error(unknown, [100.0])
 
 
-def test_rule_covers_what_bricks_show() -> None:
-    # The rule is one number for a plate's scatter: root mean squares of ten modes lie within a factor of
-    # 2.5 of it, less the error of the bricks themselves.
-    for case in json.loads(SAVED.read_text(encoding="utf-8"))["cases"]:
-        error, bricks, rule = (
-            np.sqrt(np.mean([m[key] ** 2 for m in case["modes"]]))
-            for key in ("difference_percent", "bricks_error_percent", "rule_percent")
+def saved_cases() -> list[dict[str, Any]]:
+    saved: list[dict[str, Any]] = json.loads(SAVED.read_text(encoding="utf-8"))["cases"]
+    # bricks of thin plates held all round are not exact enough to judge by
+    return [c for c in saved if max(m["bricks_error_percent"] for m in c["modes"]) < 0.15]
+
+
+def rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def test_the_rule_takes_the_bias_of_shear_off_and_states_what_it_leaves() -> None:
+    taken, judged = 0, 0
+    for case in saved_cases():
+        modes = case["modes"]
+        difference, stated, bricks = (
+            rms([m[key] for m in modes])
+            for key in ("difference_percent", "rule_percent", "bricks_error_percent")
         )
-        assert error - bricks < 2.5 * rule, case["case"]
-        assert error + bricks + 0.01 > rule / 2.5, case["case"]
+        left = rms([m["difference_percent"] - m["bias_percent"] for m in modes])
+        assert left < 3.0 * np.hypot(stated, bricks), case["case"]
+        if difference > 0.05 and case["layup"] in ("[0/90]_2s", "[0]") and case["edges"] == "FFFF":
+            judged, taken = judged + 1, taken + (left < 0.8 * difference)
+    assert judged > 7
+    assert taken > 0.8 * judged
 
 
-def test_saved_rule_is_the_rule() -> None:
-    cases = json.loads(SAVED.read_text(encoding="utf-8"))["cases"]
-    (case,) = (c for c in cases if c["case"] == "carbon, quasi-isotropic, FFFF, h/b = 1/50")
-    f = [m["ritz_hz"] for m in case["modes"]]
-    rule = [m["rule_percent"] / 100 for m in case["modes"]]
-    assert_allclose(theory_error(carbon("[0/45/-45/90]_s"), f), rule, rtol=1e-9)
+@pytest.mark.parametrize("layup", ["[0/90]_2s", "[0]"])
+def test_the_bias_is_what_bricks_show(layup: str) -> None:
+    measured, predicted, _ = mean_shift(layup)
+    assert measured > 1e-4
+    assert predicted == pytest.approx(measured, rel=0.5)
+
+
+@pytest.mark.parametrize("layup", ["[0/45/-45/90]_s", "[45/-45]_2s"])
+def test_free_edges_lower_all_modes_within_their_common_error(layup: str) -> None:
+    measured, predicted, level = mean_shift(layup)
+    assert -2.0 * level < measured - predicted < -0.3 * level
+
+
+def mean_shift(layup: str) -> tuple[float, float, float]:
+    """Mean ln f of bricks less theory, the rule's bias, and its error common to all modes."""
+    of_layup = [c for c in saved_cases() if c["layup"] == layup and "carbon" in c["case"]]
+    (case,) = (c for c in of_layup if c["edges"] == "FFFF" and "h/b = 1/25" in c["case"])
+    plate, f = carbon(layup, thickness_mm=7.2), np.array([m["ritz_hz"] for m in case["modes"]])
+    measured = float(np.mean(np.log([m["bricks_hz"] / m["ritz_hz"] for m in case["modes"]])))
+    predicted = float(np.mean(np.log(theory_bias(plate).of(f) / f)))
+    return measured, predicted, common_theory_errors(plate)[THEORY_LEVEL]
+
+
+def test_the_coefficients_are_those_that_the_study_fits() -> None:
+    saved = json.loads(SAVED.read_text(encoding="utf-8"))
+    (case,) = (c for c in saved["cases"] if c["case"] == "carbon, quasi-isotropic, CFFF, h/b = 1/25")
+    shear, free, clamps, *scatter = saved["fit"]["coefficients"]
+    plate = carbon("[0/45/-45/90]_s", "CFFF", 7.2)
+    f = np.array([m["ritz_hz"] for m in case["modes"]])
+    w, (of_free, of_clamped) = shear_frequency(plate, f), edge_sums(plate)
+    bias, common = theory_bias(plate), common_theory_errors(plate)
+    assert bias.slope == pytest.approx(shear * w[0] / f[0], rel=0.02)
+    assert common[THEORY_SHEAR] == pytest.approx(500.0 * bias.slope, rel=1e-12)
+    assert common[THEORY_LEVEL] == pytest.approx(np.hypot(free * of_free, clamps * of_clamped), rel=0.03)
+    alone = np.sqrt(
+        1e-8 + (scatter[0] * w) ** 2 + (scatter[1] * of_free) ** 2 + (scatter[2] * of_clamped) ** 2
+    )
+    assert_allclose(theory_error(plate, f), alone, rtol=0.02)
+    told = np.array([[m["bias_percent"], m["rule_percent"]] for m in case["modes"]]) / 100.0
+    every = np.sqrt(
+        theory_error(plate, f) ** 2 + common[THEORY_LEVEL] ** 2 + (common[THEORY_SHEAR] * f / 1000.0) ** 2
+    )
+    assert_allclose(told[:, 0], f / bias.of(f) - 1.0, rtol=1e-9)
+    assert_allclose(told[:, 1], every, rtol=1e-9)
+
+
+def test_predictions_and_their_slopes_have_the_bias() -> None:
+    table = described((240.0, 180.0, 3.6), 1580.0, CARBON, layup="[0/45/-45/90]_s", edges="FFFF")
+    plate = cb.read_plate(table | {"unknowns": UNKNOWNS})
+    bias = theory_bias(plate)
+    theory, model = (reduced_model(plate, plate.unknowns, 6, bias=b) for b in (THEORY_ALONE, bias))
+    x = reference_vector(plate, plate.unknowns)[None]
+    found = model.predict(x, jacobian=True)
+    assert_allclose(found.frequencies, bias.of(theory.predict(x).frequencies), rtol=1e-12)
+    assert_allclose([m.frequency for m in model.full.modes(x[0])], found.frequencies[0], rtol=2e-4)
+    assert found.jacobian is not None
+    for i, each in enumerate(x[0] * 1e-4):
+        step = each * np.eye(x.shape[1])[i]
+        after, before = model.predict(x + step).frequencies[0], model.predict(x - step).frequencies[0]
+        assert_allclose(found.jacobian[0, :, i], (after - before) / (2 * each), rtol=1e-4)
+
+
+def test_constants_of_a_plate_in_three_dimensions_are_not_biased() -> None:
+    # bricks of a quasi-isotropic plate of 7.2 mm, whose free edges lower frequencies by 0.1 to 0.9 %
+    (case,) = (c for c in saved_cases() if c["case"] == "carbon, quasi-isotropic, FFFF, h/b = 1/25")
+    table = described((240.0, 180.0, 7.2), 1580.0, CARBON, layup="[0/45/-45/90]_s", edges="FFFF")
+    table |= {"unknowns": UNKNOWNS}
+    table["measurement"] = {
+        "frequencies_hz": [m["bricks_hz"] for m in case["modes"]],
+        "relative_std": 0.0005,
+    }
+    exact = dict.fromkeys(("thickness_mm", "length_mm", "width_mm", "density_kg_m3"), 0.0)
+    table["plate"] = table["plate"] | {"sd": exact}
+    found = cb.identify(table).constants
+    assert found["E1"].value == pytest.approx(130e9, rel=0.01)
+    low, high = found["E1"].interval
+    assert low < 130e9 < high
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.local.fields import FieldPart, PointValues, values_at_points
-from cpam_bayes.forward_model.model import PlateModel, Prediction
+from cpam_bayes.forward_model.model import PlateModel, Prediction, biased
 from cpam_bayes.mechanics.loaded import (
     LoadedBlock,
     PlateModes,
@@ -106,7 +106,7 @@ class LocalModel:
             frequencies[rows] = batch.frequencies
             if slopes is not None:
                 slopes[rows] = batch.jacobian
-        return Prediction(frequencies, slopes)
+        return biased(Prediction(frequencies, slopes), self.bare.bias)
 
     def split(self, x: Array) -> tuple[Array, Array]:
         """The plate's parameters and those of the change, of parameter vectors (m, n)."""

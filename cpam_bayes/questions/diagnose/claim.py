@@ -16,7 +16,8 @@ from cpam_bayes.diagnosis.hypotheses import CLAIM_RULES, NONE, OTHER, Claim, cau
 from cpam_bayes.diagnosis.next_test import Candidate
 from cpam_bayes.effects import Effect
 from cpam_bayes.formatting import listed, significant
-from cpam_bayes.forward_model.known_errors import ScaleError, absorbed, number_of, sandwich_notices
+from cpam_bayes.forward_model.known_errors import ScaleError, absorbed, number_of
+from cpam_bayes.forward_model.three_dimensions import sandwich_notices
 from cpam_bayes.plate import Specimen
 from cpam_bayes.questions.diagnose.document import (
     FEW,

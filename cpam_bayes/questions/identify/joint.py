@@ -13,7 +13,6 @@ from cpam_bayes import __version__
 from cpam_bayes.answer import Constant, FrequencyRow, Notice
 from cpam_bayes.diagnosis.comparison import SCATTER
 from cpam_bayes.formatting import listed, significant
-from cpam_bayes.forward_model.known_errors import sandwich_notices
 from cpam_bayes.forward_model.model import with_references
 from cpam_bayes.forward_model.preconditions import (
     LARGE_ERROR,
@@ -25,6 +24,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_paired_list,
     require_supported,
 )
+from cpam_bayes.forward_model.three_dimensions import sandwich_notices
 from cpam_bayes.identification.joint import (
     JointEstimate,
     ListFit,
