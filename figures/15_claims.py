@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from journal import BLUE, DOUBLE_MM, ORANGE, PURPLE, SKY, YELLOW, Drawing, Picture, figure, listed, stacked
+from journal import BLUE, DOUBLE_MM, ORANGE, PURPLE, SKY, YELLOW, Drawing, Picture, figure, stacked
 from matplotlib.figure import Figure
 
 STUDY = "15_claims"
@@ -38,8 +38,12 @@ def _picture(name: str, answers: dict[str, Any], beside: dict[str, Any], lists: 
         sum(row[key] for row in answers["by_kind"])
         for key in ("lists", "claimed and right", "claimed and wrong")
     )
-    others = [_words(engine) for engine in list(beside["engines"])[1:]]
-    compared = f", beside {listed(others)} on {beside['lists']} lists that all answered" if others else ""
+    compared = (
+        ", beside methods with thresholds for the diagnosis's rate of wrong claims on development lists "
+        f"({beside['lists']} lists that all answered)"
+        if len(beside["engines"]) > 1
+        else ""
+    )
     return Picture(
         f"{STUDY}_{name}",
         _panels(answers, beside["engines"]),

@@ -379,9 +379,9 @@ def compared(beside: Record, tuned: Record, names: Mapping[str, str]) -> list[st
     wrong, of = tuned["rate"]
     lines = [
         "",
-        f"Simple methods on the {beside['lists']} lists that all answered. They have the true constants, "
-        "which favours them. Each claims from a threshold on: the least at which, on the development lists, "
-        f"its rate of wrong claims is at most that of the diagnosis ({wrong} of {of}).",
+        f"Simple methods on the {beside['lists']} lists that all answered. They have the true constants and "
+        "the truths' own elements, which favours them. Each claims from a threshold on, the least at which "
+        f"its rate of wrong claims on development lists is at most the diagnosis's ({wrong} of {of}).",
         "",
         "| | threshold | development: right, wrong, lists | right | wrong | right, signal to noise from 8 |",
         "|---|---|---|---|---|---|",
@@ -390,7 +390,7 @@ def compared(beside: Record, tuned: Record, names: Mapping[str, str]) -> list[st
         chosen = tuned["methods"].get(engine)
         least, counts = "-", "-"
         if chosen is not None:
-            least = "abstains" if chosen["threshold"] is None else f"{chosen['threshold']:.3g}"
+            least = "abstains" if chosen["threshold"] is None else f"{chosen['threshold']:.4g}"
             counts = ", ".join(str(chosen[key]) for key in (RIGHT, WRONG, "lists"))
         strong = next(row for row in scores["figures"] if row["what"] == STRONG)
         found = f"{round(strong['number'] * (strong['value'] or 0.0))} of {strong['number']}"
