@@ -275,6 +275,9 @@ def test_what_is_hidden_above_its_limit_must_be_claimed_alone_or_in_a_class() ->
             {"id": f"prior-{k}", "file": DENSE, "truth": truth("warp") | {"sizes": {"warp": size}}}
         )
         answers[f"prior-{k}"] = of | {"detectable": {"warp": [1.0, "mm"]}}
+    # nothing is hidden: neither above nor below
+    entries.append({"id": "clean-0", "file": DENSE, "truth": truth()})
+    answers["clean-0"] = answer("none") | {"detectable": {"warp": [1.0, "mm"]}}
     found = scoring.summary(scoring.scored(entries, answers))
     rows = {row["what"]: row for row in found["figures"]}
     above, below = rows[scoring.ABOVE], rows[scoring.BELOW]
@@ -282,8 +285,8 @@ def test_what_is_hidden_above_its_limit_must_be_claimed_alone_or_in_a_class() ->
     assert above["interval"] == scoring.interval(2, 4)
     assert (below["value"], below["number"]) == (0.0, 2)
     # the chance that a limit states, in place of a prediction
-    assert f"| {scoring.ABOVE} | 0.95 to 1 | 0.500 |" in scoring.section(6, found)
-    assert f"| {scoring.BELOW} | - | 0.000 |" in scoring.section(6, found)
+    assert f"| {scoring.ABOVE} | 0.95 to 1 | 0.500 |" in scoring.section(7, found)
+    assert f"| {scoring.BELOW} | - | 0.000 |" in scoring.section(7, found)
 
 
 def test_an_interval_covers_the_truth_or_does_not() -> None:
@@ -448,7 +451,7 @@ def test_simple_methods_know_a_misread_frequency_and_a_missed_mode(
     rng = np.random.default_rng(4)
     for text, made in (
         lists.misread(PLATE, 40.0, rng),
-        lists.listed(PLATE, PLATE.drawn(rng), "one", {}, rng, missed=[3], causes=("mode_identity",)),
+        lists.listed(PLATE, PLATE.drawn(rng), "one", {}, rng, missed=[0], causes=("mode_identity",)),
     ):
         entry = json.loads(json.dumps({"file": text, "truth": asdict(made)}))
         found = references.answers(signatures, entry)

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from validation.independent.true_plate import FLAWS
+from validation.reporting import paragraph
 
 Record = dict[str, Any]
 Scored = dict[str, Any]
@@ -377,11 +378,14 @@ def compared(beside: Record, tuned: Record, names: Mapping[str, str]) -> list[st
     beside : the number of lists, figures and confusion by engine. tuned : the rate and the thresholds.
     """
     wrong, of = tuned["rate"]
-    lines = [
-        "",
+    said = (
         f"Simple methods on the {beside['lists']} lists that all answered. They have the true constants and "
         "the truths' own elements, which favours them. Each claims from a threshold on, the least at which "
-        f"its rate of wrong claims on development lists is at most the diagnosis's ({wrong} of {of}).",
+        f"its rate of wrong claims on development lists is at most the diagnosis's ({wrong} of {of})."
+    )
+    lines = [
+        "",
+        paragraph(said),
         "",
         "| | threshold | development: right, wrong, lists | right | wrong | right, signal to noise from 8 |",
         "|---|---|---|---|---|---|",
