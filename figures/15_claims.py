@@ -7,63 +7,81 @@ from __future__ import annotations
 
 from typing import Any
 
-from journal import BLUE, DOUBLE_MM, ORANGE, SKY, YELLOW, Drawing, Picture, figure, stacked
+from journal import BLUE, DOUBLE_MM, ORANGE, PURPLE, SKY, YELLOW, Drawing, Picture, figure, stacked
 from matplotlib.figure import Figure
 
 STUDY = "15_claims"
-COLOURS = {
-    "claimed and right": BLUE,
-    "other": SKY,
-    "none": "#BBBBBB",
-    "undecided": "#DDDDDD",
-    "missed": YELLOW,
-    "claimed and wrong": ORANGE,
-    "error": "#000000",
+# Key of a category: what the legend says, and its colour; "none" is counted where nothing is hidden.
+CATEGORIES = {
+    "claimed and right": ("claimed and right", BLUE),
+    "none": ("nothing wrong, and right", SKY),
+    "other": ("unknown error", PURPLE),
+    "undecided": ("undecided", "#DDDDDD"),
+    "missed": ("missed", YELLOW),
+    "claimed and wrong": ("claimed and wrong", ORANGE),
+    "error": ("no answer", "#000000"),
 }
-THIS = "diagnosis"
-# Millimetres of a bar.
-BAR_MM = 6.0
+# Millimetres of a bar, and of what stands about the bars of a row of panels.
+BAR_MM, ABOUT_MM = 6.0, 16.0
+LEGEND_MM = 10.0
 
 
 def pictures(data: dict[str, Any]) -> list[Picture]:
     return [
-        _picture(name, engines[THIS], data["lists"][name])
-        for name, engines in data["sets"].items()
-        if THIS in engines
+        _picture(name, answers, data["beside"][name], data["lists"][name])
+        for name, answers in data["sets"].items()
     ]
 
 
-def _picture(name: str, answers: dict[str, Any], lists: int) -> Picture:
+def _picture(name: str, answers: dict[str, Any], beside: dict[str, Any], lists: int) -> Picture:
     total, right, wrong = (
         sum(row[key] for row in answers["by_kind"])
         for key in ("lists", "claimed and right", "claimed and wrong")
     )
+    compared = (
+        ", beside simple methods with thresholds for its rate of wrong claims "
+        f"({beside['lists']} lists that all answered)"
+        if len(beside["engines"]) > 1
+        else ""
+    )
     return Picture(
         f"{STUDY}_{name}",
-        _panels(answers),
+        _panels(answers, beside["engines"]),
         f"What is claimed of lists with hidden causes, {name} set.",
-        "Lists of independent elements and of bricks, each of a plate of its own. Left: by what is hidden. "
-        "Right: single causes by signal to noise. Number of lists in brackets. Of "
-        f"{total} of {lists} lists answered {right} are claimed and right, {wrong} claimed and wrong.",
+        "Lists of independent elements and of bricks, each of a plate of its own. Above: the diagnosis by "
+        f"what is hidden. Below: single causes by signal to noise{compared}. Number of lists in brackets. "
+        f"Of {total} of {lists} lists answered the diagnosis claims {right} rightly and {wrong} wrongly.",
     )
 
 
-def _panels(answers: dict[str, Any]) -> Figure:
-    kinds, ratios = (_bars(answers[by]) for by in ("by_kind", "by_ratio"))
-    new = figure(DOUBLE_MM, 28 + BAR_MM * max(len(kinds), len(ratios)))
-    left, right = new.subplots(1, 2)
-    stacked(left, kinds, COLOURS, "lists")
-    left.set_title("By what is hidden")
-    if ratios:
-        stacked(right, ratios, COLOURS, "lists")
-    right.set_title("Single causes by signal to noise")
-    handles, labels = left.get_legend_handles_labels()
-    new.legend(handles, labels, loc="outside lower center", ncols=4)
+def _panels(answers: dict[str, Any], engines: dict[str, Any]) -> Figure:
+    kinds = answers["by_kind"]
+    ratios = {engine: own["by_ratio"] for engine, own in engines.items() if own["by_ratio"]}
+    every = [*kinds, *(row for rows in ratios.values() for row in rows)]
+    shown = [c for c in CATEGORIES if any(row[c] for row in every)]
+    colours = {CATEGORIES[c][0]: CATEGORIES[c][1] for c in shown}
+    heights = [ABOUT_MM + BAR_MM * len(rows) for rows in (kinds, *list(ratios.values())[:1])]
+    new = figure(DOUBLE_MM, LEGEND_MM + sum(heights))
+    above, *below = new.subfigures(len(heights), 1, height_ratios=heights) if ratios else [new]
+    axes = above.subplots()
+    stacked(axes, _bars(kinds, shown), colours, "lists")
+    axes.set_title("By what is hidden")
+    new.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    for part in below:
+        row = part.subplots(1, len(ratios), sharey=True, squeeze=False)[0]
+        for panel, (engine, rows) in zip(row, ratios.items(), strict=True):
+            stacked(panel, _bars(rows, shown), colours, "lists")
+            panel.set_title(_words(engine))
+        row[0].set_ylabel("signal to noise")
     return new
 
 
-def _bars(rows: list[dict[str, Any]]) -> dict[str, dict[str, int]]:
-    return {f"{r['what'].strip()} ({r['lists']})": {c: r[c] for c in COLOURS} for r in rows}
+def _words(engine: str) -> str:
+    return engine.replace("_", " ")
+
+
+def _bars(rows: list[dict[str, Any]], shown: list[str]) -> dict[str, dict[str, int]]:
+    return {f"{r['what'].strip()} ({r['lists']})": {CATEGORIES[c][0]: r[c] for c in shown} for r in rows}
 
 
 draw = Drawing(__file__, STUDY, "seeds of the sets", pictures)

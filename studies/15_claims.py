@@ -9,19 +9,24 @@ committed and writes the predictions down beside it; --make then makes the lists
 diagnosis once for each, with the commit and the date in the answer. Without these options the answers that
 there are become results, and the section of docs/hidden_effects.md.
 
---methods adds what users do instead; --engine NAME=TREE asks another version of the package. A method of your
-own is scored in the same way: write one JSON line a list with "id" and the keys of `cpam-bayes diagnose
---json` into studies/data/claims/answers/sealed_NAME.jsonl and run the study without options.
+--methods adds what users do instead, each with a threshold to abstain that is chosen on the set "development"
+for the diagnosis's own rate of wrong claims there; --engine NAME=TREE asks another version of the package.
+
+A method of your own is scored in the same way: write one JSON line a list with "id" and the keys of
+`cpam-bayes diagnose --json` into studies/data/claims/answers/sealed_NAME.jsonl and run the study without
+options.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -44,15 +49,17 @@ KEYS = {
     "seal": "of the sealed set: commit of the code, date, seed, predictions, SHA-256 of the lists",
     "lists": "by set: how many there are",
     "unreachable": "by set: lists that could not be made, and why",
-    "sets": "by set, of the diagnosis and of others on the same lists: figures, confusion of claims and more",
+    "sets": "by set, of the diagnosis: figures, confusion of claims and more",
+    "thresholds": "wrong claims of the diagnosis on lists for development, and thresholds of methods by them",
+    "beside": "by set, on the lists that all engines and methods answered: figures and confusion of each",
 }
 
 DEVELOPMENT, SEALED = NAMES_OF_SETS = ("development", "sealed")
 DEVELOPMENT_SEED = 5150
 THIS = "diagnosis"
-# What is kept of other methods.
-BRIEF = ("lists", "by_kind", "figures")
-NAMES = {m: m.replace("_", " ") for m in references.METHODS}
+# What is kept of each beside others.
+BRIEF = ("by_kind", "by_ratio", "figures")
+NAMES = {m: f"{m.replace('_', ' ')}, {statistic}" for m, statistic in references.METHODS.items()}
 QUICK_LIST = "strength-taper_x-16"
 
 
@@ -92,18 +99,23 @@ def run(quick: bool) -> Results:
 
 
 def _results(quick: bool, found: dict[str, tuple[list[Results], dict[str, dict[str, Results]]]]) -> Results:
+    tuned = _tuned(*found.get(DEVELOPMENT, ([], {})))
     said: Results = {}
+    beside: Results = {}
     for name, (entries, engines) in found.items():
-        scores = {engine: scoring.scored(entries, answers) for engine, answers in engines.items()}
-        mine = scores.get(THIS, [])
-        said[name] = {THIS: scoring.summary(mine)} if mine else {}
-        for engine, records in scores.items():
-            # beside another engine or method: the lists that both answered
-            theirs = {r["id"] for r in records}
-            both = {r["id"] for r in mine} & theirs if mine else theirs
-            if engine != THIS and both:
-                own = scoring.summary([r for r in records if r["id"] in both])
-                said[name][engine] = {k: own[k] for k in BRIEF}
+        if THIS not in engines:
+            continue
+        scores = {}
+        for engine in (THIS, *(e for e in engines if e != THIS)):
+            answers = engines[engine]
+            if engine in tuned["methods"]:
+                answers = references.abstaining(answers, tuned["methods"][engine]["threshold"])
+            scores[engine] = scoring.scored(entries, answers)
+        said[name] = scoring.summary(scores[THIS])
+        both = set.intersection(*({r["id"] for r in records} for records in scores.values()))
+        of_both = {e: scoring.summary([r for r in s if r["id"] in both]) for e, s in scores.items()}
+        brief = {engine: {key: own[key] for key in BRIEF} for engine, own in of_both.items()}
+        beside[name] = {"lists": len(both), "engines": brief}
     return {
         "quick": quick,
         "seal": seal.require_closed(SEAL, data_path(SEALED)) if SEALED in found else None,
@@ -113,7 +125,23 @@ def _results(quick: bool, found: dict[str, tuple[list[Results], dict[str, dict[s
             for name, (entries, _) in found.items()
         },
         "sets": said,
+        "thresholds": tuned,
+        "beside": beside,
     }
+
+
+def _tuned(entries: list[Results], engines: dict[str, dict[str, Results]]) -> Results:
+    """Thresholds of the methods for the rate of wrong claims that the diagnosis has on its lists of a set."""
+    categories = [r["category"] for r in scoring.scored(entries, engines.get(THIS, {}))]
+    rate = categories.count(scoring.WRONG), len(categories)
+    methods = {
+        m: references.threshold(
+            scoring.scored(entries, engines[m]), {k: a["statistic"] for k, a in engines[m].items()}, rate
+        )
+        for m in references.METHODS
+        if m in engines
+    }
+    return {"rate": list(rate), "methods": methods}
 
 
 def make(name: str, workers: int) -> None:
@@ -151,8 +179,9 @@ def answer(
         process.wait()
 
 
-def refer(name: str, limit: int | None) -> None:
-    """The answers of simple methods."""
+def refer(name: str, minutes: float | None, limit: int | None) -> None:
+    """The answers of simple methods, as long as there is time."""
+    end = math.inf if minutes is None else time.monotonic() + 60.0 * minutes
     paths = {m: answers_path(name, m) for m in references.METHODS}
     for path in paths.values():
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -161,6 +190,8 @@ def refer(name: str, limit: int | None) -> None:
     mine = set(answering.answered(answers_path(name, THIS)))
     entries = sorted(answering.asked(data_path(name), limit=limit), key=lambda r: r["id"] not in mine)
     for entry in (e for e in entries if e["id"] not in done):
+        if time.monotonic() > end:
+            return
         nominal = sets.PLANS[entry["id"]].candidates(seed_of(name))[entry["plate"]]
         found = references.answers(references.dictionary_of(nominal), entry)
         for method, record in found.items():
@@ -172,14 +203,12 @@ def refer(name: str, limit: int | None) -> None:
 def sections(results: Results) -> dict[str, str]:
     """What docs/hidden_effects.md says of each set, and README of the sealed one."""
     found = {}
-    for name, engines in results["sets"].items():
-        if THIS in engines:
-            others = {k: v for k, v in engines.items() if k != THIS}
-            of = results["seal"] if name == SEALED else None
-            found[name] = scoring.section(results["lists"][name], engines[THIS], others, NAMES, of)
-            if name == SEALED:
-                short = scoring.in_short(results["lists"][name], engines[THIS])
-                found["in short"] = paragraph(short, "- ")
+    for name, scores in results["sets"].items():
+        total, beside = results["lists"][name], results["beside"][name]
+        others = scoring.compared(beside, results["thresholds"], NAMES) if len(beside["engines"]) > 1 else []
+        found[name] = scoring.section(total, scores, others, results["seal"] if name == SEALED else None)
+        if name == SEALED:
+            found["in short"] = paragraph(scoring.in_short(total, scores), "- ")
     return found
 
 
@@ -218,7 +247,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in args.answer:
         answer(name, engine, Path(tree), args.workers, args.minutes, args.only, args.limit)
     for name in args.methods:
-        refer(name, args.limit)
+        refer(name, args.minutes, args.limit)
     results = run(args.quick)
     show(results)
     if not args.quick:

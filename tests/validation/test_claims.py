@@ -12,6 +12,7 @@ import pytest
 
 import cpam_bayes as cb
 from cpam_bayes.effects import CATALOGUE
+from tests.test_studies import script
 from validation import brick_lists
 from validation.claims import answering, references, scoring, seal, sets
 from validation.independent import drawn, lists
@@ -214,6 +215,80 @@ def test_a_claim_is_counted_as_a_user_reads_it(
     assert found["right"] is right
 
 
+FILE = "[plate]\nlength_mm = 200\nwidth_mm = 100\nthickness_mm = 5\n{}"
+DENSE, WEIGHED = FILE.format("density_kg_m3 = 2000"), FILE.format("mass_g = 400")
+
+
+@pytest.mark.parametrize(
+    ("cause", "size", "aux", "limit", "above"),
+    [
+        ("taper_x", -0.05, {}, [4.9, "%"], True),
+        ("taper_x", -0.05, {}, [5.1, "%"], False),
+        ("taper_x", 0.05, {}, [None, "%"], False),
+        ("warp", 1e-3, {}, [0.99, "mm"], True),
+        ("warp", 1e-3, {}, [1.01, "mm"], False),
+        ("resin_skin", 5e-5, {}, [49.0, "um"], True),
+        ("membrane_stress", -1e6, {}, [1.1, "MPa"], False),
+        ("membrane_stress", -1e6, {}, [0.9, "MPa"], True),
+        ("support", 8.0, {}, [8.0, "Hz"], True),
+        ("misorientation", 2.0, {}, [2.1, "deg"], False),
+        # a part of the plate's mass: 200 g, or as weighed 400 g
+        ("sensor_mass", 0.02, {"x": 0.5, "y": 0.5}, [3.9, "g"], True),
+        ("sensor_mass", 0.02, {"x": 0.5, "y": 0.5}, [4.1, "g"], False),
+        ("soft_clamp", 2.0, {"ratio": 1.5}, [0.059, ""], True),
+        ("soft_clamp", 2.0, {"ratio": 1.5}, [0.061, ""], False),
+        ("outline", 0.1, {"form": "rectangle", "ratio": 2.0}, [0.99, "% of the area"], True),
+        ("outline", 0.1, {"form": "rectangle", "ratio": 2.0}, [1.01, "% of the area"], False),
+        ("outline", 0.1, {"form": "ellipse", "ratio": 1.0}, [0.1, "% of the area"], None),
+    ],
+)
+def test_a_hidden_size_is_held_against_the_limit_that_is_stated_for_it(
+    cause: str, size: float, aux: dict[str, Any], limit: list[Any], above: bool | None
+) -> None:
+    hidden = truth(cause) | {"sizes": {cause: size}, "aux": {cause: aux} if aux else {}}
+    said = {"detectable": {cause: limit, "skew": [0.0, "deg"]}}
+    assert scoring.above_limit({"file": DENSE, "truth": hidden}, said) is above
+
+
+def test_a_weighed_plate_has_the_mass_that_its_file_states() -> None:
+    entry = {"file": WEIGHED, "truth": truth("sensor_mass") | {"sizes": {"sensor_mass": 0.02}}}
+    assert scoring.hidden_size(entry) == pytest.approx(8e-3)
+
+
+def test_a_misread_frequency_has_a_size_and_what_has_none_or_no_limit_is_not_counted() -> None:
+    misread = {"file": DENSE, "truth": truth("outlier") | {"extra": {"shift_percent": -3.0}}}
+    assert scoring.above_limit(misread, {"detectable": {"outlier": [2.9, "%"]}}) is True
+    assert scoring.above_limit(misread, {"detectable": {"outlier": [3.1, "%"]}}) is False
+    for hidden in (truth(), truth("other"), truth("mode_identity"), truth("warp", "skew")):
+        entry = {"file": DENSE, "truth": hidden | {"sizes": {"warp": 1.0, "skew": 5.0}}}
+        assert scoring.above_limit(entry, {"detectable": {c: [0.1, "mm"] for c in ("warp", "other")}}) is None
+    tested = {"file": DENSE, "truth": truth("warp") | {"sizes": {"warp": 1.0}}}
+    assert scoring.above_limit(tested, {"detectable": {"skew": [0.1, "deg"]}}) is None
+    assert scoring.above_limit(tested, {"error": "no"}) is None
+
+
+def test_what_is_hidden_above_its_limit_must_be_claimed_alone_or_in_a_class() -> None:
+    entries, answers = [], {}
+    said = [answer("named", "warp"), answer("class", "skew", "warp"), answer("named", "skew"), answer("none")]
+    for k, (size, of) in enumerate([*((2e-3, a) for a in said), *((5e-4, a) for a in said[2:])]):
+        entries.append(
+            {"id": f"prior-{k}", "file": DENSE, "truth": truth("warp") | {"sizes": {"warp": size}}}
+        )
+        answers[f"prior-{k}"] = of | {"detectable": {"warp": [1.0, "mm"]}}
+    # nothing is hidden: neither above nor below
+    entries.append({"id": "clean-0", "file": DENSE, "truth": truth()})
+    answers["clean-0"] = answer("none") | {"detectable": {"warp": [1.0, "mm"]}}
+    found = scoring.summary(scoring.scored(entries, answers))
+    rows = {row["what"]: row for row in found["figures"]}
+    above, below = rows[scoring.ABOVE], rows[scoring.BELOW]
+    assert (above["value"], above["number"]) == (0.5, 4)
+    assert above["interval"] == scoring.interval(2, 4)
+    assert (below["value"], below["number"]) == (0.0, 2)
+    # the chance that a limit states, in place of a prediction
+    assert f"| {scoring.ABOVE} | 0.95 to 1 | 0.500 |" in scoring.section(7, found)
+    assert f"| {scoring.BELOW} | - | 0.000 |" in scoring.section(7, found)
+
+
 def test_an_interval_covers_the_truth_or_does_not() -> None:
     assert scoring.score(truth("warp"), answer("none"))["inside"] == {"E1_GPa": True}
     far = answer("none")
@@ -294,7 +369,7 @@ def test_the_summary_counts_wrong_claims_with_their_lists() -> None:
     ]
     found = scoring.summary(records)
     assert [w["id"] for w in found["wrong"]] == ["prior-0-warp"]
-    assert "| prior-0-warp | warp | named: skew | 0.950 |" in scoring.section(2, found, {}, {})
+    assert "| prior-0-warp | warp | named: skew | 0.950 |" in scoring.section(2, found)
     wrong = next(row for row in found["figures"] if row["what"] == "wrong claims")
     assert (wrong["value"], wrong["number"]) == (0.5, 2)
     assert wrong["what"] in seal.PREDICTIONS
@@ -327,3 +402,183 @@ def test_simpler_methods_name_a_cause_or_none(
     found = references.answers(signatures, entry)
     assert set(found) == set(references.METHODS)
     assert found["likelihood_ratio"]["causes"] == ["taper_x"]
+    assert all(record["statistic"] > 0.0 for record in found.values())
+
+
+# Eight modes and three causes: with a size alone, at a place (three parameters), a misread frequency.
+FIRST, SECOND = np.eye(8)[:1], np.eye(8)[1:2]
+SEEN = references.Whitened(
+    np.array([9.0, 0, 0, 0, 0, 0, 0, 2.0]),
+    {"taper_x": 10 * FIRST, "damage": 10 * FIRST + 0.1 * SECOND, "outlier": np.eye(8)},
+    {"taper_x": 10 * FIRST + SECOND, "damage": 10 * SECOND, "outlier": np.eye(8)},
+)
+
+
+def test_a_statistic_is_how_much_better_a_method_is_than_nothing() -> None:
+    left = (10.0 - 9.0) ** 2 + 2.0**2
+    assert references._largest_residual(SEEN) == (["taper_x"], 9.0)
+    assert references._criterion(SEEN) == (["taper_x"], pytest.approx(85.0 - left - np.log(8.0)))
+    margin = pytest.approx((85.0 - left) / 3.8415, rel=1e-4)
+    assert references._likelihood_ratio(SEEN) == (["taper_x"], margin)
+    assert references._matching_pursuit(SEEN) == (["outlier"], pytest.approx(81.0))
+
+
+def test_more_parameters_cost_more() -> None:
+    # all three explain the residual alike: 1, 3 and 2 parameters
+    alike = {"damage": 9 * FIRST, "outlier": 9 * FIRST, "taper_x": 9 * FIRST}
+    for causes, free, five_percent in (
+        (["damage", "outlier", "taper_x"], 1, 7.8147),
+        (["damage", "outlier"], 2, 7.8147),
+        (["damage"], 3, 7.8147),
+    ):
+        seen = replace(SEEN, atoms={c: alike[c] for c in causes})
+        assert references._criterion(seen) == (causes[-1:], pytest.approx(81.0 - free * np.log(8.0)))
+        # the first of those of one likelihood
+        assert references._likelihood_ratio(seen)[1] == pytest.approx(81.0 / five_percent, rel=1e-4)
+
+
+def test_a_second_cause_is_named_where_it_explains_half_of_what_the_first_does() -> None:
+    one = {"taper_x": FIRST, "damage": 3 * SECOND}
+    for second, causes in ((6.3, ["taper_x"]), (6.4, ["taper_x", "damage"])):
+        seen = references.Whitened(9.0 * FIRST[0] + second * SECOND[0], {}, one)
+        gained = 81.0 + (second**2 if len(causes) == 2 else 0.0)
+        assert references._matching_pursuit(seen) == (causes, pytest.approx(gained))
+
+
+def test_simple_methods_know_a_misread_frequency_and_a_missed_mode(
+    signatures: references.Dictionary,
+) -> None:
+    rng = np.random.default_rng(4)
+    for text, made in (
+        lists.misread(PLATE, 40.0, rng),
+        lists.listed(PLATE, PLATE.drawn(rng), "one", {}, rng, missed=[0], causes=("mode_identity",)),
+    ):
+        entry = json.loads(json.dumps({"file": text, "truth": asdict(made)}))
+        found = references.answers(signatures, entry)
+        assert found["BIC"]["causes"] == list(made.causes)
+
+
+def judged(*outcomes: tuple[float, str]) -> tuple[list[dict[str, Any]], dict[str, float]]:
+    """Scores of lists and their statistics."""
+    records = [{"id": str(k), "category": category} for k, (_, category) in enumerate(outcomes)]
+    return records, {str(k): statistic for k, (statistic, _) in enumerate(outcomes)}
+
+
+SURE = (9.0, scoring.RIGHT), (8.0, scoring.WRONG), (7.0, scoring.RIGHT), (6.0, scoring.RIGHT)
+UNSURE = (5.0, scoring.WRONG), (4.0, scoring.RIGHT), (3.0, scoring.WRONG), (2.0, scoring.WRONG)
+
+
+@pytest.mark.parametrize(
+    ("rate", "least", "right", "wrong"),
+    [
+        ((0, 5), 9.0, 1, 0),
+        ((1, 9), 9.0, 1, 0),
+        ((1, 8), 6.0, 3, 1),
+        ((1, 5), 6.0, 3, 1),
+        ((2, 8), 4.0, 4, 2),
+        ((1, 1), 2.0, 4, 4),
+    ],
+)
+def test_a_threshold_is_the_least_that_keeps_the_rate_of_wrong_claims(
+    rate: tuple[int, int], least: float, right: int, wrong: int
+) -> None:
+    found = references.threshold(*judged(*UNSURE, *SURE), rate)
+    assert found == {"threshold": least, "lists": 8, scoring.RIGHT: right, scoring.WRONG: wrong}
+    assert wrong * rate[1] <= rate[0] * 8
+
+
+def test_lists_of_one_statistic_are_claimed_together() -> None:
+    tied = judged((8.0, scoring.RIGHT), (7.0, scoring.RIGHT), (7.0, scoring.WRONG))
+    assert references.threshold(*tied, (0, 3))["threshold"] == 8.0
+
+
+def test_a_method_whose_surest_claim_is_wrong_too_often_always_abstains() -> None:
+    found = references.threshold(*judged((9.0, scoring.WRONG), (8.0, scoring.RIGHT)), (0, 2))
+    assert found == {"threshold": None, "lists": 2, scoring.RIGHT: 0, scoring.WRONG: 0}
+    said = {"a": answer("named", "warp") | {"statistic": 9.0}}
+    assert references.abstaining(said, None)["a"]["claim"] == "none"
+
+
+def test_a_method_claims_from_its_threshold_on() -> None:
+    said = {name: answer("named", "warp") | {"statistic": s} for name, s in (("a", 2.0), ("b", 1.9))}
+    found = references.abstaining(said, 2.0)
+    assert found["a"] == said["a"]
+    assert (found["b"]["claim"], found["b"]["causes"]) == ("none", [])
+    assert said["b"]["claim"] == "named"
+
+
+def benchmark(named: dict[str, tuple[str, float]]) -> tuple[list[dict[str, Any]], dict[str, dict[str, Any]]]:
+    """Lists that hide a warp of signal to noise 16, and a method's answers: the cause and the statistic."""
+    hidden = truth("warp") | {"ratio": 16.0}
+    entries = [{"id": name, "file": DENSE, "truth": hidden} for name in named]
+    return entries, {k: answer("named", cause) | {"statistic": s} for k, (cause, s) in named.items()}
+
+
+def test_thresholds_come_from_the_lists_for_development_alone_and_the_wrong_rate_is_kept_there() -> None:
+    study = script("studies", "15_claims")
+    trial = {
+        "strength-warp-1": ("skew", 3.0),
+        "strength-warp-2": ("warp", 5.0),
+        "strength-warp-3": ("warp", 4.0),
+    }
+    entries, named = benchmark(trial)
+    mine = {name: answer("named", "warp") for name in trial}
+    # what is sealed has statistics that would choose another threshold
+    final = {
+        "strength-warp-1": ("skew", 9.0),
+        "strength-warp-2": ("warp", 3.9),
+        "strength-warp-3": ("warp", 4.0),
+    }
+    sealed, claimed = benchmark(final)
+    only_two = {k: v for k, v in claimed.items() if k != "strength-warp-2"}
+    of_user = {name: answer("none") for name in final}
+    found = study._results(
+        False,
+        {
+            "development": (entries, {"diagnosis": mine, "BIC": named}),
+            "sealed": (sealed, {"BIC": only_two, "diagnosis": mine, "my own": of_user}),
+        },
+    )
+    assert found["thresholds"]["rate"] == [0, 3]
+    chosen = found["thresholds"]["methods"]
+    assert chosen == {"BIC": {"threshold": 4.0, "lists": 3, scoring.RIGHT: 2, scoring.WRONG: 0}}
+    ours = found["beside"]["development"]["engines"]["BIC"]["by_ratio"]
+    assert [(r["what"], r[scoring.RIGHT], r[scoring.MISSED]) for r in ours] == [(" 16", 2, 1)]
+    assert found["sets"]["sealed"]["lists"] == 3
+    beside = found["beside"]["sealed"]
+    assert (beside["lists"], list(beside["engines"])) == (2, ["diagnosis", "BIC", "my own"])
+    (row,) = beside["engines"]["BIC"]["by_kind"]
+    assert (row["lists"], row[scoring.RIGHT], row[scoring.WRONG], row[scoring.MISSED]) == (2, 1, 1, 0)
+    said = study.sections(found)["sealed"]
+    assert "on the 2 lists that all answered" in said
+    assert "(0 of 3)" in said
+    assert "| diagnosis | - | - | 2 | 0 | 2 of 2 |" in said
+    assert "| BIC, difference | 4 | 2, 0, 3 | 1 | 1 | 1 of 2 |" in said
+    assert "| my own | - | - | 0 | 0 | 0 of 2 |" in said
+
+
+def test_simple_methods_answer_first_what_the_diagnosis_answered_and_nothing_twice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study = script("studies", "15_claims")
+    names = ["clean-00", "clean-01", "clean-02", "clean-03"]
+    (tmp_path / "answers").mkdir()
+    lines = [{"id": name, "plate": 0, "file": DENSE, "truth": truth()} for name in names]
+    (tmp_path / "development.jsonl").write_text("".join(map(sets.line_of, lines)), "utf-8")
+    (tmp_path / "answers" / "development_diagnosis.jsonl").write_text('{"id": "clean-02"}\n', "utf-8")
+    asked: list[str] = []
+
+    def named(dictionary: object, entry: dict[str, Any]) -> dict[str, Any]:
+        asked.append(entry["id"])
+        return {m: answer("named", "warp") | {"statistic": 1.0} for m in references.METHODS}
+
+    monkeypatch.setattr(study, "DATA", tmp_path)
+    monkeypatch.setattr(references, "dictionary_of", lambda nominal: None)
+    monkeypatch.setattr(references, "answers", named)
+    study.refer("development", -1.0, None)
+    assert asked == []
+    study.refer("development", None, 3)
+    study.refer("development", 60.0, None)
+    assert asked == ["clean-02", "clean-00", "clean-01", "clean-03"]
+    kept = answering.answered(tmp_path / "answers" / "development_sparse_regression.jsonl")
+    assert set(kept) == set(names)

@@ -24,6 +24,7 @@ from validation.independent.true_plate import (
     TruePlate,
     natural_frequencies,
     sensitivities,
+    weight,
 )
 from validation.several_plates import ALONE, CLAMPED, LOADED, SISTER, Laboratory, files, spread
 
@@ -148,6 +149,26 @@ def test_a_hidden_cause_shifts_as_the_effect_of_its_name(cause: str, tmp_path: P
     expected = of_package(specimen, BY_NAME[cause], values) / of_package(specimen, None, {})
     # two coarse meshes: shifts of up to 27 %
     np.testing.assert_allclose(shifted(own.plate, cause, size), expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("cause", CAUSES)
+def test_a_hidden_size_is_stated_as_the_effect_of_its_name_has_it(cause: str) -> None:
+    first = BY_NAME[cause].sizes[0].name
+    stated = FLAWS[cause].stated(-3.0, {"ratio": 1.0}, 1.0)
+    assert stated is not None
+    assert abs(stated) == pytest.approx(3.0 * CAUSES[cause][first])
+
+
+def test_an_added_mass_and_a_missing_corner_are_stated_as_what_they_weigh() -> None:
+    aux = {"x": 1.0, "y": 0.0, "form": "rectangle", "ratio": 2.0}
+    loaded = FLAWS["sensor_mass"].apply(SMALL, 0.03, aux)
+    assert FLAWS["sensor_mass"].stated(0.03, aux, SMALL.total_mass) == pytest.approx(loaded.masses[0].mass)
+    # points of the rule beside the cut are in or out
+    fine = replace(SMALL, mesh=40)
+    cut = FLAWS["outline"].apply(fine, 0.25, {**aux, "ratio": 1.0})
+    assert FLAWS["outline"].stated(0.25, aux, 1.0) == pytest.approx(
+        1.0 - weight(cut) / weight(fine), rel=0.02
+    )
 
 
 PLATE = replace(lists.PLATES[0], name="panel")

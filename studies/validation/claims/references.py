@@ -1,14 +1,18 @@
 """What a user would do instead of a diagnosis.
 
-Simple methods take the residuals of the plain fit, linear in the constants about the truth, and name one
-cause or none: the mode that misfits most, the Bayesian information criterion over causes, a likelihood ratio
-at 5 %, sparse regression on the signatures (orthogonal matching pursuit). They have the signatures of the
-independent elements: shifts of ln f at a grid of sizes and places, solved at the reference constants.
+Simple methods take the residuals of the plain fit, linear in the constants about the truth, and name a
+cause: that of the mode that misfits most, the best by the Bayesian information criterion or by the
+likelihood, or the one or two of a sparse regression on the signatures (orthogonal matching pursuit). They
+have the signatures of the independent elements, shifts of ln f at a grid of sizes and places, solved at the
+reference constants, and those of a misread frequency and of a missed mode.
+
+Each says by one number, its statistic, how much better that is than nothing, and abstains below a threshold,
+which is chosen on other lists for a rate of wrong claims.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
@@ -19,6 +23,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
+from validation.claims.scoring import RIGHT, WRONG, Scored
 from validation.independent.elements import BucklingError
 from validation.independent.lists import FURTHER, Linear, NominalPlate, linear_of
 from validation.independent.true_plate import (
@@ -160,17 +165,30 @@ class Plain:
         missed = list(truth["missed"]) if not truth["complete"] else []
         self.modes = np.delete(np.arange(len(self.linear.ln_f)), missed)[: nominal.n_modes]
 
+    def errors_of_list(self) -> dict[str, Array]:
+        """Shifts of ln f by a frequency misread by 1 %, and by a mode that the list lacks, for each mode."""
+        n, ln_f = len(self.modes), self.linear.ln_f
+        later = [np.delete(np.arange(len(ln_f)), k)[:n] for k in self.modes]
+        return {"outlier": 0.01 * np.eye(n), "mode_identity": ln_f[later] - ln_f[self.modes]}
+
 
 # Simpler methods
 
-METHODS = ("largest_residual", "BIC", "likelihood_ratio", "sparse_regression")
+# Each with its statistic.
+METHODS = {
+    "largest_residual": "sd",
+    "BIC": "difference",
+    "likelihood_ratio": "of its 5 % point",
+    "sparse_regression": "misfit explained",
+}
 # Repeatability that is assumed where a file states none.
 _ASSUMED = 0.003
-# Residuals of a mode that are looked into, standard deviations.
-_LARGE = 3.0
-_ATOMS = 2
-# Parameters of a cause: its size, and its place.
-_AT_A_PLACE = ("sensor_mass", "damage", "outline")
+# A second cause explains at least this much of what the first does.
+_SECOND = 0.5
+# Parameters of a cause: its size, its place, which frequency; of others their size alone.
+_FREE = {"sensor_mass": 3, "damage": 3, "outline": 3, "outlier": 2}
+# Sizes of a misread frequency, in per cent: 6 % apart.
+_MISREAD = np.exp(np.arange(np.log(0.02), np.log(40.0), 0.06))
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +201,6 @@ class Whitened:
     residual: Array
     atoms: dict[str, Array]
     one: dict[str, Array]
-    degrees: int
 
 
 def whitened(dictionary: Dictionary, entry: Record) -> Whitened:
@@ -203,75 +220,117 @@ def whitened(dictionary: Dictionary, entry: Record) -> Whitened:
         seen = shift[:, plain.order][:, plain.modes] @ less / noise
         atoms.setdefault(s.cause, []).append(seen[::2])
         one.setdefault(s.cause, []).append(seen[[int(np.argmin(np.abs(size - s.scale)))]])
+    for cause, shifts in plain.errors_of_list().items():
+        atoms[cause] = one[cause] = [shifts @ less / noise]
+    # a frequency is misread by any size
+    atoms["outlier"] = [size * one["outlier"][0] for size in np.concatenate([-_MISREAD, _MISREAD])]
     return Whitened(
         residual,
         {c: np.concatenate(v) for c, v in atoms.items()},
         {c: np.concatenate(v) for c, v in one.items()},
-        max(len(plain.modes) - slope.shape[1], 1),
     )
 
 
 def answers(dictionary: Dictionary, entry: Record) -> dict[str, Record]:
-    """The answer of each method in the keys of a diagnosis; they have no probability."""
+    """What each method names, with its statistic, in the keys of a diagnosis; they have no probability."""
     seen = whitened(dictionary, entry)
-    causes_by_method = {
-        "largest_residual": _largest_residual(seen),
-        "BIC": _criterion(seen),
-        "likelihood_ratio": _likelihood_ratio(seen),
-        "sparse_regression": _matching_pursuit(seen),
-    }
-    return {m: _answer(causes) for m, causes in causes_by_method.items()}
+    found = (_largest_residual(seen), _criterion(seen), _likelihood_ratio(seen), _matching_pursuit(seen))
+    return {method: _answer(*named) for method, named in zip(METHODS, found, strict=True)}
 
 
-def _answer(causes: list[str]) -> Record:
-    kind = ("none", "named", "pair")[len(causes)]
-    return {"claim": kind, "causes": causes, "probability": 1.0, "constants": {}, "baseline": {}}
+# Causes, and how much better than nothing.
+_Named = tuple[list[str], float]
+
+
+def _answer(causes: list[str], statistic: float) -> Record:
+    claim = {"claim": ("named", "pair")[len(causes) - 1], "causes": causes, "probability": 1.0}
+    return {**claim, "statistic": statistic, "constants": {}, "baseline": {}}
+
+
+def _misfit(seen: Whitened) -> float:
+    return float(seen.residual @ seen.residual)
 
 
 def _misfits(seen: Whitened) -> dict[str, float]:
     return {c: float(((seen.residual - a) ** 2).sum(axis=1).min()) for c, a in seen.atoms.items()}
 
 
-def _largest_residual(seen: Whitened) -> list[str]:
+def _largest_residual(seen: Whitened) -> _Named:
+    """The cause that shifts this mode most beside the others; a misread frequency would always be it."""
     i = int(np.argmax(np.abs(seen.residual)))
-    if abs(seen.residual[i]) < _LARGE:
-        return []
-    part = {
-        c: float((np.abs(a[:, i]) / np.maximum(np.linalg.norm(a, axis=1), 1e-12)).max())
-        for c, a in seen.one.items()
-    }
-    return [max(part, key=lambda c: part[c])]
+    part = {c: float(np.abs(a[:, i]).max()) for c, a in _directions(seen).items() if c != "outlier"}
+    return [max(part, key=lambda c: part[c])], float(abs(seen.residual[i]))
 
 
-def _criterion(seen: Whitened) -> list[str]:
+def _criterion(seen: Whitened) -> _Named:
     n = len(seen.residual)
-    score = {c: m + _free(c) * np.log(n) for c, m in _misfits(seen).items()}
+    score = {c: m + _free(c) * float(np.log(n)) for c, m in _misfits(seen).items()}
     best = min(score, key=lambda c: score[c])
-    return [best] if score[best] < float(seen.residual @ seen.residual) else []
+    return [best], _misfit(seen) - score[best]
 
 
-def _likelihood_ratio(seen: Whitened) -> list[str]:
+def _likelihood_ratio(seen: Whitened) -> _Named:
     misfit = _misfits(seen)
     best = min(misfit, key=lambda c: misfit[c])
-    gained = float(seen.residual @ seen.residual) - misfit[best]
-    return [best] if gained > chi2.ppf(0.95, _free(best)) else []
+    return [best], (_misfit(seen) - misfit[best]) / float(chi2.ppf(0.95, _free(best)))
 
 
-def _matching_pursuit(seen: Whitened) -> list[str]:
-    residual = seen.residual
+def _matching_pursuit(seen: Whitened) -> _Named:
+    directions = _directions(seen)
+    left = seen.residual
     chosen: list[str] = []
     columns: list[Array] = []
-    limit = chi2.ppf(0.95, seen.degrees)
-    while len(chosen) < _ATOMS and float(residual @ residual) > limit:
-        unit = {c: a / np.maximum(np.linalg.norm(a, axis=1), 1e-12)[:, None] for c, a in seen.one.items()}
-        along = {c: np.abs(u @ residual) for c, u in unit.items() if c not in chosen}
+    gains: list[float] = []
+    for _ in range(2):
+        along = {c: np.abs(d @ left) for c, d in directions.items() if c not in chosen}
         best = max(along, key=lambda c: float(along[c].max()))
-        columns.append(unit[best][int(np.argmax(along[best]))])
-        chosen.append(best)
+        columns.append(directions[best][int(np.argmax(along[best]))])
         a = np.array(columns).T
-        residual = seen.residual - a @ np.linalg.lstsq(a, seen.residual, rcond=None)[0]
-    return chosen
+        after = seen.residual - a @ np.linalg.lstsq(a, seen.residual, rcond=None)[0]
+        gain = float(left @ left - after @ after)
+        if gains and gain < _SECOND * gains[0]:
+            break
+        chosen.append(best)
+        gains.append(gain)
+        left = after
+    return chosen, sum(gains)
+
+
+def _directions(seen: Whitened) -> dict[str, Array]:
+    """Shifts by the causes at one scale, of length 1."""
+    return {c: a / np.maximum(np.linalg.norm(a, axis=1), 1e-12)[:, None] for c, a in seen.one.items()}
 
 
 def _free(cause: str) -> int:
-    return 3 if cause in _AT_A_PLACE else 1
+    return _FREE.get(cause, 1)
+
+
+# Thresholds
+
+
+def threshold(records: Sequence[Scored], statistics: Mapping[str, float], rate: tuple[int, int]) -> Record:
+    """The least statistic from which a method may claim, and what it then claims of these lists.
+
+    records : its scores where it always claims. statistics : by list. rate : wrong claims that are allowed,
+    of how many lists; where the surest claims are wrong too often it always abstains, the threshold is None
+    """
+    wrong, of = rate
+    for least in sorted({statistics[r["id"]] for r in records}):
+        claimed = [r["category"] for r in records if statistics[r["id"]] >= least]
+        if claimed.count(WRONG) * of <= wrong * len(records):
+            return _at(least, records, claimed)
+    return _at(None, records, [])
+
+
+def _at(least: float | None, records: Sequence[Scored], claimed: Sequence[str]) -> Record:
+    counted = {category: claimed.count(category) for category in (RIGHT, WRONG)}
+    return {"threshold": least, "lists": len(records), **counted}
+
+
+def abstaining(answers: Mapping[str, Record], least: float | None) -> dict[str, Record]:
+    """Answers of a method by list, "none" where its statistic is below its threshold; None: everywhere."""
+    nothing = {"claim": "none", "causes": []}
+    return {
+        name: answer if least is not None and answer["statistic"] >= least else {**answer, **nothing}
+        for name, answer in answers.items()
+    }

@@ -4,16 +4,22 @@ A claim is right when it names the true cause, or a class that the true cause is
 causes, both or one of them without another. A truth lists the few further names that mean the same physical
 thing on its plate (``accepted``). A smooth discrepancy is told by "other". Any claim on a clean list
 is wrong, and so is a pair with a cause that is not there.
+
+A cause above the detection limit that the answer states for it must be claimed, alone or in a class.
 """
 
 from __future__ import annotations
 
+import tomllib
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from scipy.stats import binomtest
+
+from validation.independent.true_plate import FLAWS
+from validation.reporting import paragraph
 
 Record = dict[str, Any]
 Scored = dict[str, Any]
@@ -102,10 +108,67 @@ def scored(lists: Iterable[Record], answers: Mapping[str, Record]) -> list[Score
             "id": r["id"],
             **{key: answers[r["id"]].get(key, "-") for key in ("commit", "date")},
             **score(r["truth"], answers[r["id"]]),
+            "above_limit": above_limit(r, answers[r["id"]]),
         }
         for r in lists
         if "truth" in r and r["id"] in answers
     ]
+
+
+# Detection limits
+
+# Units of limits over those of hidden sizes, which are SI and degrees.
+_OF_LIMIT = {
+    "%": 1e2,
+    "% of the area": 1e2,
+    "mm": 1e3,
+    "um": 1e6,
+    "g": 1e3,
+    "MPa": 1e-6,
+    "Hz": 1.0,
+    "deg": 1.0,
+    "": 1.0,
+}
+# What a limit states: the chance of a claim at this size, and of most larger ones.
+LIMIT_CHANCE = (0.95, 1.0)
+ABOVE, BELOW = "errors above their stated limit, claimed", "errors below their stated limit, claimed"
+
+
+def above_limit(entry: Record, answer: Record) -> bool | None:
+    """Whether the one cause that a list hides is as large as the limit that the answer states for it.
+
+    Where it states that no size is seen, none is above. None: the cause has no size or no limit, or there
+    are two.
+    """
+    size = hidden_size(entry)
+    limit = answer.get("detectable", {}).get(entry["truth"]["causes"][0]) if size is not None else None
+    if size is None or limit is None:
+        return None
+    smallest, unit = limit
+    return smallest is not None and bool(_OF_LIMIT[unit] * size >= smallest)
+
+
+def hidden_size(entry: Record) -> float | None:
+    """The size of the one cause that a list hides as limits measure it, SI and degrees; None: see above."""
+    truth = entry["truth"]
+    if len(truth["causes"]) != 1:
+        return None
+    (cause,) = truth["causes"]
+    if cause in truth["sizes"]:
+        aux, mass = truth["aux"].get(cause, {}), _mass(entry["file"])
+        return FLAWS[cause].stated(truth["sizes"][cause], aux, mass)
+    # one misread frequency, in per cent
+    return abs(truth["extra"]["shift_percent"]) / 1e2 if cause == "outlier" else None
+
+
+def _mass(file: str) -> float:
+    """Of the plate as its file states it, kg."""
+    plate = tomllib.loads(file)["plate"]
+    if "mass_g" in plate:
+        return float(plate["mass_g"]) / 1e3
+    return (
+        float(plate["density_kg_m3"] * plate["length_mm"] * plate["width_mm"] * plate["thickness_mm"]) / 1e9
+    )
 
 
 def confusion(records: Sequence[Scored], by: Callable[[Scored], str]) -> list[Record]:
@@ -176,6 +239,7 @@ def interval(successes: int, n: int) -> tuple[float, float]:
 
 # Signal to noise from which a cause should be found.
 _STRONG = 8.0
+STRONG = "claimed and right, signal to noise 8 and above"
 # Groups of lists by the first part of their names.
 HEADLINE, STRESS = "drawn from priors", "by signal to noise"
 GROUPS = {
@@ -242,8 +306,10 @@ def figures(records: Sequence[Scored]) -> list[Record]:
         _counted("false claims where nothing is wrong", clean, _is(WRONG)),
         _covered("constants of bricks in their 95 % intervals", bricks),
         _covered("constants, of what no cause is and what misled earlier versions", hard),
-        _counted("claimed and right, signal to noise 8 and above", strong, _is(RIGHT)),
+        _counted(STRONG, strong, _is(RIGHT)),
         _counted("right or open, of what no cause is and what misled earlier versions", hard, _is_not(WRONG)),
+        _counted(ABOVE, [r for r in records if r.get("above_limit") is True], _is(RIGHT)),
+        _counted(BELOW, [r for r in records if r.get("above_limit") is False], _is(RIGHT)),
     ]
 
 
@@ -268,13 +334,15 @@ def ratio_of(r: Scored) -> str:
 def section(
     total: int,
     scores: Record,
-    others: Mapping[str, Record],
-    names: Mapping[str, str],
+    beside: Sequence[str] = (),
     seal: Record | None = None,
 ) -> str:
-    """Markdown of a set: figures beside what was predicted, what was claimed, wrong claims, other methods."""
+    """Markdown of a set: figures beside what was predicted, other methods, what was claimed, wrong claims.
+
+    beside : the lines of `compared`
+    """
     lines = [f"{scores['lists']} of {total} lists answered, in random order."]
-    predicted = {} if seal is None else seal["predictions"]
+    predicted = {ABOVE: LIMIT_CHANCE} | ({} if seal is None else seal["predictions"])
     if seal is not None:
         lines += [
             f"Code of commit {seal['code']}, seed {seal['seed']} drawn on {seal['drawn']}. Answered by "
@@ -293,14 +361,7 @@ def section(
     plain = scores["coverage"]["plain model"]
     if plain["constants"]:
         lines += ["", f"Of the 95 % intervals of the plain model {plain['share']:.3f} hold the truth."]
-    if others:
-        wrong = [f"{names.get(name, name)} {_claimed_and_wrong(of)}" for name, of in others.items()]
-        of = max(int(o["lists"]) for o in others.values())
-        lines += ["", f"Wrong claims of simple methods on {of} of these lists: {', '.join(wrong)}."]
-    lines += ["", _confusion_table("what is hidden", scores["by_kind"])]
-    if scores["by_ratio"]:
-        said = "Single causes by signal to noise:"
-        lines += ["", said, "", _confusion_table("signal to noise", scores["by_ratio"])]
+    lines += ["", _confusion_table("what is hidden", scores["by_kind"]), *beside]
     if scores["wrong"]:
         lines += ["", "Wrong claims:", "", "| list | hidden | claimed | probability |", "|---|---|---|---|"]
         lines += [
@@ -311,9 +372,42 @@ def section(
     return "\n".join([*lines, ""])
 
 
+def compared(beside: Record, tuned: Record, names: Mapping[str, str]) -> list[str]:
+    """Lines of Markdown of other methods beside the diagnosis, on the lists that all answered.
+
+    beside : the number of lists, figures and confusion by engine. tuned : the rate and the thresholds.
+    """
+    wrong, of = tuned["rate"]
+    said = (
+        f"Simple methods on the {beside['lists']} lists that all answered. They have the true constants and "
+        "the truths' own elements, which favours them. Each claims from a threshold on, the least at which "
+        f"its rate of wrong claims on development lists is at most the diagnosis's ({wrong} of {of})."
+    )
+    lines = [
+        "",
+        paragraph(said),
+        "",
+        "| | threshold | development: right, wrong, lists | right | wrong | right, signal to noise from 8 |",
+        "|---|---|---|---|---|---|",
+    ]
+    for engine, scores in beside["engines"].items():
+        chosen = tuned["methods"].get(engine)
+        least, counts = "-", "-"
+        if chosen is not None:
+            least = "abstains" if chosen["threshold"] is None else f"{chosen['threshold']:.4g}"
+            counts = ", ".join(str(chosen[key]) for key in (RIGHT, WRONG, "lists"))
+        strong = next(row for row in scores["figures"] if row["what"] == STRONG)
+        found = f"{round(strong['number'] * (strong['value'] or 0.0))} of {strong['number']}"
+        lines.append(
+            f"| {names.get(engine, engine)} | {least} | {counts} | {_number(scores, RIGHT)} "
+            f"| {_number(scores, WRONG)} | {found} |"
+        )
+    return lines
+
+
 def in_short(total: int, scores: Record) -> str:
     """Markdown of one point of a list: how often claims are wrong, and how often intervals hold the truth."""
-    n, wrong = int(scores["lists"]), _claimed_and_wrong(scores)
+    n, wrong = int(scores["lists"]), _number(scores, WRONG)
     low, high = (100.0 * end for end in interval(wrong, n))
     held = scores["coverage"]["all"]
     said = f"{n} lists" if n == total else f"{n} of {total} lists so far"
@@ -337,8 +431,8 @@ def _confusion_table(what: str, rows: Sequence[Record]) -> str:
     return "\n".join(lines)
 
 
-def _claimed_and_wrong(scores: Record) -> int:
-    return sum(int(row[WRONG]) for row in scores["by_kind"])
+def _number(scores: Record, category: str) -> int:
+    return sum(int(row[category]) for row in scores["by_kind"])
 
 
 def _strength(r: Scored) -> float:

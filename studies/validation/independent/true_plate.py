@@ -355,6 +355,8 @@ class Flaw:
     draw : what else is drawn: places, forms.
     two_sided : whether the size has either sign.
     applies : to which plates.
+    stated : size, what else was drawn, mass of the plate in kg -> the size that a detection limit is of,
+        SI and degrees; None where it is of another form.
     """
 
     cause: str
@@ -364,6 +366,7 @@ class Flaw:
     two_sided: bool = True
     draw: Callable[[TruePlate, np.random.Generator], Aux] = lambda plate, rng: {}
     applies: Callable[[TruePlate], bool] = lambda plate: True
+    stated: Callable[[float, Aux, float], float | None] = lambda size, aux, mass: abs(size)
 
     def prior_size(self, plate: TruePlate, rng: np.random.Generator) -> float:
         """A size drawn from the prior, within the physical limit."""
@@ -454,8 +457,17 @@ def _without(plate: TruePlate, size: float, aux: Aux) -> TruePlate:
     return replace(plate, patches=(*plate.patches, gap))
 
 
+def _missing_corner(size: float, aux: Aux, mass: float) -> float | None:
+    """Part of the area, of a corner; a hole has no limit."""
+    return size**2 if aux["form"] == "rectangle" else None
+
+
 def _soft(plate: TruePlate, size: float, aux: Aux) -> TruePlate:
-    return replace(plate, turn=0.02 * size * aux["ratio"], shift=0.002 * size / aux["ratio"])
+    return replace(plate, turn=_turn(size, aux), shift=0.002 * size / aux["ratio"])
+
+
+def _turn(size: float, aux: Aux) -> float:
+    return 0.02 * size * float(aux["ratio"])
 
 
 def _ratio(plate: TruePlate, rng: np.random.Generator) -> Aux:
@@ -496,10 +508,27 @@ FLAWS: dict[str, Flaw] = {
     for flaw in (
         Flaw("clamp_rotation", _fixed(0.02), _fixed(1.0), _number("turn"), False, applies=_is_clamped),
         Flaw("clamp_translation", _fixed(0.002), _fixed(0.05), _number("shift"), False, applies=_is_clamped),
-        Flaw("soft_clamp", _fixed(1.0), _fixed(20.0), _soft, False, _ratio, _is_clamped),
+        Flaw(
+            "soft_clamp",
+            _fixed(1.0),
+            _fixed(20.0),
+            _soft,
+            False,
+            _ratio,
+            _is_clamped,
+            stated=lambda size, aux, mass: _turn(size, aux),
+        ),
         Flaw("clamp_slip", _fixed(0.05), _fixed(0.3), _number("loose"), False, applies=_is_clamped),
         Flaw("clamp_length", _fixed(5e-4), _fixed(0.015), _longer, applies=_is_clamped),
-        Flaw("sensor_mass", _fixed(0.01), _fixed(0.1), _loaded, False, _anywhere),
+        Flaw(
+            "sensor_mass",
+            _fixed(0.01),
+            _fixed(0.1),
+            _loaded,
+            False,
+            _anywhere,
+            stated=lambda size, aux, mass: size * mass,
+        ),
         Flaw("support", _fixed(8.0), _fixed(25.0), _number("foundation_hz"), False, applies=is_free),
         Flaw("thickness", _fixed(0.01), _fixed(0.3), _scaled("thickness")),
         Flaw("density", _fixed(0.01), _fixed(0.4), _scaled("density")),
@@ -517,7 +546,7 @@ FLAWS: dict[str, Flaw] = {
         Flaw("transverse_shear", _fixed(0.3), _fixed(1.5), _number("log_shear")),
         Flaw("shear_ratio", _fixed(0.25), _fixed(0.8), _other_ratio, applies=has_plies),
         Flaw("damage", _fixed(0.2), _fixed(0.9), _softer, False, _patch),
-        Flaw("outline", _fixed(0.03), _fixed(0.15), _without, False, _cut),
+        Flaw("outline", _fixed(0.03), _fixed(0.15), _without, False, _cut, stated=_missing_corner),
         Flaw(
             "resin_skin",
             _fixed(5e-5),
