@@ -60,7 +60,7 @@ THIS = "diagnosis"
 # What is kept of each beside others.
 BRIEF = ("by_kind", "by_ratio", "figures")
 NAMES = {m: f"{m.replace('_', ' ')}, {statistic}" for m, statistic in references.METHODS.items()}
-QUICK_LIST = "strength-taper_x-16"
+QUICK_LIST = "strength-clamp_length-8"
 
 
 def seed_of(name: str) -> int:
