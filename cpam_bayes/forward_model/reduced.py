@@ -410,11 +410,16 @@ def _cut(block: DenseBlock, size: int) -> DenseBlock:
 
 
 def _leading(block: DenseBlock, size: int, known: _Solved) -> DenseBlock:
-    """A block on the span of its first functions, orthonormal in the mass of the first set."""
+    """A block on the span of its first functions, orthonormal in the mass of the first set.
+
+    Of two mass terms, translation and rotation as a rule, both are diagonal.
+    """
     small = _cut(block, size)
-    basis = np.linalg.inv(np.linalg.cholesky(small.mass.assemble(known.mass[0]))).T
-    mass = small.mass.project(basis).stack
+    for _ in range(2):  # the second pass restores the digits that the first one lost
+        small = small.project(np.linalg.inv(np.linalg.cholesky(small.mass_at(known.mass[0]))).T)
+    if len(small.mass.stack) == 2:
+        small = small.project(np.linalg.eigh(small.mass.stack[1])[1])
+    mass = small.mass.stack
     # a mass that is diagonal but for rounding, made so, needs no factorisation
     mass[np.abs(mass) < 1e-12 * np.abs(mass).max(initial=0.0)] = 0.0
-    stiffness = small.stiffness.project(basis)
-    return DenseBlock(stiffness, AffineMatrix(mass, small.mass.active), small.index, small.n_terms)
+    return replace(small, mass=AffineMatrix(mass, small.mass.active))
