@@ -123,13 +123,13 @@ def reduce(
 
     def fit(known: _Solved) -> PlateModel:
         directions = _directions(full.operator, known, float(np.sqrt(_LEAST_OF_WIDE * tolerance)))
-        return _projected(full, known, directions, [block.size for _, block in directions])
+        return _projected(full, directions, [block.size for _, block in directions])
 
     wide = _checked(full, many[: settings.training], fit, _FURTHER_OF_WIDE, settings, rng)
 
     def fit_on_wide(known: _Solved) -> PlateModel:
         directions = _directions(wide.operator, known)
-        return _projected(wide, known, directions, _sizes(directions, known, tolerance))
+        return _projected(wide, directions, _sizes(directions, known, tolerance))
 
     many = training_sets(problem, _ON_WIDE, rng)
     settings = replace(settings, checks=_ON_WIDE, rounds=1)
@@ -166,7 +166,7 @@ def focused(model: ReducedModel, x: Array, tolerance: float, fraction: float = 1
     known = _solved(model.fast, x, 0)
     directions = _directions(model.fast.operator, known)
     sizes = _sizes(directions, known, tolerance, fraction)
-    return replace(model, fast=_projected(model.fast, known, directions, sizes))
+    return replace(model, fast=_projected(model.fast, directions, sizes))
 
 
 def basis_error(model: ReducedModel, x: Array) -> Array:
@@ -300,8 +300,9 @@ def _directions(
 ) -> list[tuple[int, DenseBlock]]:
     """Every block on its rigid-body motions, counted, and the principal directions of its modes.
 
-    Modes have the same energy; directions are orthonormal in the energy of the first set, so that what is
-    left out of a mode is the error of its eigenvalue. Those with the largest part in all modes come first.
+    Modes have the same energy; directions are principal in the energy of the first set, so that what is left
+    out of a mode is the error of its eigenvalue. Those with the largest part in all modes come first. One
+    after the other they are made orthonormal in the mass of that set.
     """
     projected = []
     shift = _SHIFT * known.ranked[0, known.n_rigid]
@@ -313,8 +314,17 @@ def _directions(
         every = np.column_stack((rigid, _principal(shapes - rigid @ (rigid.T @ shapes), least)))
         if every.shape[1]:
             every = scipy.linalg.solve_triangular(root, np.linalg.qr(every)[0])
-        projected.append((rigid.shape[1], block.project(every)))
+        projected.append((rigid.shape[1], _orthonormal(block.project(every), known.mass[0])))
     return projected
+
+
+def _orthonormal(block: DenseBlock, mass: Array) -> DenseBlock:
+    """A block on functions that are orthonormal in one mass (n_terms,), with the spans of the first ones."""
+    if not block.size:
+        return block
+    for _ in range(2):  # the second pass restores the digits that the first one lost
+        block = block.project(np.linalg.inv(np.linalg.cholesky(block.mass_at(mass))).T)
+    return block
 
 
 def _rigid(block: RitzBlock, known: _Solved) -> Array:
@@ -346,12 +356,10 @@ def _sizes(
     ]
 
 
-def _projected(
-    model: PlateModel, known: _Solved, directions: list[tuple[int, DenseBlock]], sizes: list[int]
-) -> PlateModel:
+def _projected(model: PlateModel, directions: list[tuple[int, DenseBlock]], sizes: list[int]) -> PlateModel:
     """A model on the leading directions of each block; the smallest, of rigid-body motions, are one."""
     pairs = zip((block for _, block in directions), sizes, strict=True)
-    every = [_leading(block, size, known) for block, size in pairs if size]
+    every = [_leading(block, size) for block, size in pairs if size]
     small = tuple(block for block in every if block.size <= _TINY)
     blocks = tuple(block for block in every if block.size > _TINY)
     if small:
@@ -409,12 +417,12 @@ def _cut(block: DenseBlock, size: int) -> DenseBlock:
     return DenseBlock(stiffness, mass, np.arange(size), block.n_terms)
 
 
-def _leading(block: DenseBlock, size: int, known: _Solved) -> DenseBlock:
-    """A block on the span of its first functions, orthonormal in the mass of the first set."""
+def _leading(block: DenseBlock, size: int) -> DenseBlock:
+    """A block on the span of its first functions.
+
+    Of two mass terms, translation and rotation as a rule, both are diagonal.
+    """
     small = _cut(block, size)
-    basis = np.linalg.inv(np.linalg.cholesky(small.mass.assemble(known.mass[0]))).T
-    mass = small.mass.project(basis).stack
-    # a mass that is diagonal but for rounding, made so, needs no factorisation
-    mass[np.abs(mass) < 1e-12 * np.abs(mass).max(initial=0.0)] = 0.0
-    stiffness = small.stiffness.project(basis)
-    return DenseBlock(stiffness, AffineMatrix(mass, small.mass.active), small.index, small.n_terms)
+    if len(small.mass.stack) == 2:
+        small = small.project(np.linalg.eigh(small.mass.stack[1])[1])
+    return small

@@ -82,6 +82,10 @@ class Expansion:
     gradient: Array
     curvature: Array
 
+    def of(self, rows: Array) -> Expansion:
+        """That of some of the points."""
+        return Expansion(self.value[rows], self.gradient[rows], self.curvature[rows])
+
 
 def prior_sd(posterior: Posterior) -> Array:
     """Standard deviations of the priors, (n,)."""

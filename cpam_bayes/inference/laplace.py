@@ -82,6 +82,7 @@ def maximise(
     most_steps: int = 60,
     promised: float = _PROMISE,
     hopeless: Callable[[Expansion], Array] | None = None,
+    known: Expansion | None = None,
 ) -> Maxima:
     """Local maxima next to a stack of starts (m, n), all optimised at once (Levenberg-Marquardt).
 
@@ -93,11 +94,12 @@ def maximise(
     lower, upper : (n,).
     promised : gain in nats below which an optimisation ends.
     hopeless : expansion at k points -> (k,) bool, which optimisations are given up there.
+    known : the target at the starts, where an optimisation goes on.
     """
     u = np.clip(np.array(start, dtype=float), lower, upper)
     m = len(u)
     every = np.arange(m)
-    first = target(u, every)
+    first = target(u, every) if known is None else known
     value, gradient, curvature = first.value.copy(), first.gradient.copy(), first.curvature.copy()
     damping = np.full(m, _DAMPING)
     converged = np.zeros(m, dtype=bool)
@@ -183,8 +185,7 @@ def polish(
     Returns the optimum (n,), the expansion there (m = 1) and whether the last poll found nothing better.
     """
     u = maxima.u[row]
-    every = maxima.expansion
-    expansion = Expansion(*(a[row : row + 1] for a in (every.value, every.gradient, every.curvature)))
+    expansion = maxima.expansion.of(np.array([row]))
     n = len(u)
     for _ in range(_MOST_POLLS):
         spread = _directions(n) @ _root_of_inverse(expansion.curvature[0] + np.eye(n)).T

@@ -59,8 +59,9 @@ class AffineMatrix:
         return AffineMatrix(self.stack[:, keep][:, :, keep], self.active)
 
     def project(self, basis: Array) -> AffineMatrix:
-        """The sum on the span of ``basis`` (n, r)."""
-        return AffineMatrix(basis.T @ (self.stack @ basis), self.active)
+        """The sum on the span of ``basis`` (n, r), symmetric to the last digit."""
+        stack = basis.T @ (self.stack @ basis)
+        return AffineMatrix(0.5 * (stack + np.swapaxes(stack, 1, 2)), self.active)
 
     def diagonals(self, n_terms: int) -> Array:
         """Diagonal of the matrix of every term, (n_terms, n)."""

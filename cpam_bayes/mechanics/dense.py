@@ -10,9 +10,16 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock, DenseOperator, Product
+from cpam_bayes.mechanics.affine import (
+    AffineMatrix,
+    AffineOperator,
+    DenseBlock,
+    DenseOperator,
+    Product,
+    Profile,
+)
 from cpam_bayes.mechanics.loaded import loaded_blocks
-from cpam_bayes.mechanics.problem import Atom, Form, MatrixKind, Problem, Values
+from cpam_bayes.mechanics.problem import Atom, Derivative, Form, MatrixKind, Problem, Region, Values
 from cpam_bayes.mechanics.ritz import Family, Quadrature, RitzSpace, broken_quadrature, evaluate_sector
 
 Array = NDArray[Any]
@@ -20,13 +27,45 @@ Piece = tuple[int, int, Array]
 MATRICES: tuple[MatrixKind, MatrixKind] = ("stiffness", "mass")
 
 
-class FamilyValues:
-    """One-dimensional families and integrals of their products, computed once for all forms of a problem."""
+class SpaceValues:
+    """Trial functions of a space and integrals of their products, computed once for all forms."""
 
-    def __init__(self) -> None:
+    def __init__(self, space: RitzSpace) -> None:
+        self.space = space
+        self._rules: dict[Region, Quadrature] = {}
+        self._points: dict[Region, tuple[Array, Array]] = {}
+        self._sectors: dict[tuple[int, Region, Derivative], Array] = {}
         # The key holds identities, so the arrays and families are kept as long as the values are.
         self._values: dict[tuple[int, int, bool], tuple[Family, Array, Array]] = {}
         self._overlaps: dict[tuple[object, ...], tuple[Family, Family, Array]] = {}
+        self._broken: dict[tuple[float, ...], tuple[Array, Array]] = {}
+
+    def rule(self, region: Region) -> Quadrature:
+        """Points and weights of a region."""
+        if region not in self._rules:
+            self._rules[region] = self.space.quadrature(region)
+        return self._rules[region]
+
+    def _coordinates(self, region: Region) -> tuple[Array, Array]:
+        if region not in self._points:
+            x, y = self.rule(region).points.T
+            self._points[region] = (x, y)
+        return self._points[region]
+
+    def sectors(self, atom: Atom, region: Region) -> list[tuple[int, Array]]:
+        """The sectors of a field that have functions, and what an atom is of these at a region's points."""
+        found = []
+        for i, sector in enumerate(self.space.sectors):
+            if sector.field != atom.field or not sector.size:
+                continue
+            key = (i, region, atom.derivative)
+            if key not in self._sectors:
+                x, y = self._coordinates(region)
+                in_x = self.at(sector.x, x, atom.derivative == "x")[:, sector.pairs[:, 0]]
+                in_y = self.at(sector.y, y, atom.derivative == "y")[:, sector.pairs[:, 1]]
+                self._sectors[key] = in_x * in_y
+            found.append((i, self._sectors[key]))
+        return found
 
     def at(self, family: Family, t: Array, derivative: bool) -> Array:
         """Functions or first derivatives of a family at points (n,), (n, size)."""
@@ -36,50 +75,48 @@ class FamilyValues:
         return self._values[key][2]
 
     def overlap(
-        self,
-        left: tuple[Family, bool],
-        right: tuple[Family, bool],
-        axis: str,
-        weight: object,
-        t: Array,
-        w: Array,
+        self, left: tuple[Family, bool], right: tuple[Family, bool], axis: str, profile: Profile | None
     ) -> Array:
         """Integrals of products of functions or derivatives of two families, (left.size, right.size).
 
-        weight : what the points t and weights w (n,) on an axis follow from
+        profile : a weight along the axis
         """
-        key = (id(left[0]), left[1], id(right[0]), right[1], axis, weight)
+        key = (id(left[0]), left[1], id(right[0]), right[1], axis, profile)
         if key not in self._overlaps:
+            t, w = self._axis_rule(axis, () if profile is None else profile.breaks)
+            if profile is not None:
+                w = w * profile(t)
             weighted = w[:, None] * self.at(right[0], t, right[1])
             self._overlaps[key] = (left[0], right[0], self.at(left[0], t, left[1]).T @ weighted)
         return self._overlaps[key][2]
 
+    def _axis_rule(self, axis: str, breaks: tuple[float, ...]) -> tuple[Array, Array]:
+        if not breaks:
+            return self.space.x_grid if axis == "x" else self.space.y_grid
+        if breaks not in self._broken:
+            self._broken[breaks] = broken_quadrature(breaks)
+        return self._broken[breaks]
 
-def _area_pieces(form: Form, space: RitzSpace, values: FamilyValues) -> list[Piece]:
+
+def _area_pieces(form: Form, values: SpaceValues) -> list[Piece]:
     """Sector-by-sector matrices of an area form, by products of one-dimensional integrals.
 
     Its weight is one or a product of functions of xi and of eta.
     """
-    (x, wx), (y, wy) = space.x_grid, space.y_grid
-    if isinstance(form.weight, Product):
-        x, wx = broken_quadrature(form.weight.x.breaks) if form.weight.x.breaks else (x, wx)
-        y, wy = broken_quadrature(form.weight.y.breaks) if form.weight.y.breaks else (y, wy)
     pieces = []
-    for i, left in enumerate(space.sectors):
-        for j, right in enumerate(space.sectors):
+    for i, left in enumerate(values.space.sectors):
+        for j, right in enumerate(values.space.sectors):
             if left.field != form.left.field or right.field != form.right.field:
                 continue
-            in_x = _overlap(left.x, right.x, form, "x", x, wx, values)
-            in_y = _overlap(left.y, right.y, form, "y", y, wy, values) if in_x is not None else None
+            in_x = _overlap(left.x, right.x, form, "x", values)
+            in_y = _overlap(left.y, right.y, form, "y", values) if in_x is not None else None
             if in_x is not None and in_y is not None:
                 p, q = left.pairs, right.pairs
                 pieces.append((i, j, in_x[np.ix_(p[:, 0], q[:, 0])] * in_y[np.ix_(p[:, 1], q[:, 1])]))
     return pieces
 
 
-def _overlap(
-    left: Family, right: Family, form: Form, axis: str, t: Array, w: Array, values: FamilyValues
-) -> Array | None:
+def _overlap(left: Family, right: Family, form: Form, axis: str, values: SpaceValues) -> Array | None:
     """One-dimensional integrals of products of two families; ``None`` where they vanish by parity."""
     in_left, in_right = form.left.derivative == axis, form.right.derivative == axis
     parity = left.parity * right.parity * (-1) ** (in_left + in_right)
@@ -87,27 +124,20 @@ def _overlap(
     if isinstance(form.weight, Product):
         profile = form.weight.x if axis == "x" else form.weight.y
         parity *= profile.parity
-        w = w * profile(t)
     if parity < 0:
         return None
-    return values.overlap((left, in_left), (right, in_right), axis, profile, t, w)
+    return values.overlap((left, in_left), (right, in_right), axis, profile)
 
 
-def _general_pieces(form: Form, space: RitzSpace) -> list[Piece]:
+def _general_pieces(form: Form, values: SpaceValues) -> list[Piece]:
     """Sector-by-sector matrices of any form, by quadrature over its region."""
-    rule = space.quadrature(form.region)
+    rule = values.rule(form.region)
     if form.region.kind == "projection":
-        return _projection_pieces(form, space, rule)
+        return _projection_pieces(form, values, rule)
     weights = rule.weights * (1.0 if form.weight is None else form.weight(rule.points))
     pieces = []
-    for i, left in enumerate(space.sectors):
-        if left.field != form.left.field or not left.size:
-            continue
-        b_left = evaluate_sector(left, rule.points, form.left.derivative)
-        for j, right in enumerate(space.sectors):
-            if right.field != form.right.field or not right.size:
-                continue
-            b_right = evaluate_sector(right, rule.points, form.right.derivative)
+    for i, b_left in values.sectors(form.left, form.region):
+        for j, b_right in values.sectors(form.right, form.region):
             matrix = b_left.T @ (weights[:, None] * b_right)
             scale = (
                 np.sqrt(len(weights)) * np.abs(weights).max() * np.abs(b_left).max() * np.abs(b_right).max()
@@ -117,16 +147,15 @@ def _general_pieces(form: Form, space: RitzSpace) -> list[Piece]:
     return pieces
 
 
-def _projection_pieces(form: Form, space: RitzSpace, rule: Quadrature) -> list[Piece]:
+def _projection_pieces(form: Form, values: SpaceValues, rule: Quadrature) -> list[Piece]:
     """Sector-by-sector matrices of a form that is a sum of products of integrals."""
     functions = projected_functions(form, rule)
 
     def moments(atom: Atom) -> list[tuple[int, Array]]:
-        sectors = [(i, s) for i, s in enumerate(space.sectors) if s.field == atom.field and s.size]
-        values = [(i, evaluate_sector(s, rule.points, atom.derivative).T @ functions) for i, s in sectors]
-        size = max((np.abs(g).max() for _, g in values), default=0.0)
+        each = [(i, at.T @ functions) for i, at in values.sectors(atom, form.region)]
+        size = max((np.abs(g).max() for _, g in each), default=0.0)
         # what is left of integrals that vanish by parity
-        return [(i, np.where(np.abs(g) > 1e-12 * size, g, 0.0)) for i, g in values]
+        return [(i, np.where(np.abs(g) > 1e-12 * size, g, 0.0)) for i, g in each]
 
     left = moments(form.left)
     right = left if form.right == form.left else moments(form.right)
@@ -140,13 +169,10 @@ def projected_functions(form: Form, rule: Quadrature) -> Array:
     return np.asarray(rule.weights[:, None] * values)
 
 
-def form_pieces(form: Form, space: RitzSpace, values: FamilyValues | None = None) -> list[Piece]:
-    """Non-zero sector-by-sector matrices of a form, both triangles: (row sector, column sector, matrix).
-
-    values : of the space's families, where several forms are integrated
-    """
+def form_pieces(form: Form, values: SpaceValues) -> list[Piece]:
+    """Non-zero sector-by-sector matrices of a form, both triangles: (row sector, column sector, matrix)."""
     plain = form.region.kind == "area" and (form.weight is None or isinstance(form.weight, Product))
-    pieces = _area_pieces(form, space, values or FamilyValues()) if plain else _general_pieces(form, space)
+    pieces = _area_pieces(form, values) if plain else _general_pieces(form, values)
     if form.left != form.right:
         pieces = pieces + [(j, i, m.T) for i, j, m in pieces]
     return pieces
@@ -200,7 +226,7 @@ def _discretise(
 ) -> DenseOperator:
     """Blocks of sum_q combine[r, q] K_q for every row r of ``combine`` (n_rows, n_forms)."""
     pieces: list[dict[int, list[Piece]]] = []
-    values = FamilyValues()
+    values = SpaceValues(space)
     links = {(i, i) for i in range(len(space.sectors))}
     masses: list[int] = []
     for kind in MATRICES:
@@ -208,7 +234,7 @@ def _discretise(
         forms = problem.forms(kind)
         if kind == "mass":
             masses = [q for q in active if _is_point_mass(forms[q])]
-        pieces.append({q: form_pieces(forms[q], space, values) for q in active if q not in masses})
+        pieces.append({q: form_pieces(forms[q], values) for q in active if q not in masses})
         links |= {(i, j) for parts in pieces[-1].values() for i, j, _ in parts}
     n_terms = (combine[0].shape[0], combine[1].shape[0])
     starts = np.cumsum([0, *(s.size for s in space.sectors)])

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 from scipy.sparse.csgraph import connected_components
 
 from cpam_bayes.mechanics.affine import (
@@ -83,7 +84,7 @@ def ritz_basis(plate: PlateModes, loads: Array) -> RitzBasis:
     for a, b, v, mu in zip(plate.energy, plate.mass, plate.vectors, plate.masses, strict=True):
         n, k = v.shape[1:]
         load = np.swapaxes(loads[:, :, start : start + a.shape[1]], 1, 2)
-        g = np.linalg.solve(a, load)
+        g = _answers(a, load)
         responses.append(g)
         lead, at = slice(column, column + k), np.arange(column, column + k)
         start, column = start + a.shape[1], lead.stop
@@ -100,6 +101,16 @@ def ritz_basis(plate: PlateModes, loads: Array) -> RitzBasis:
     # where an edge holds the field, the load does nothing
     energy[:, i, i] += np.where(diagonal > 0.0, _NUGGET * diagonal, 1.0)
     return RitzBasis(energy, mass, plate.vectors, responses)
+
+
+def _answers(energy: Array, loads: Array) -> Array:
+    """Static responses (m, n, k) of plates with energies (m, n, n) to loads (m, n, k)."""
+    answers = np.empty_like(loads)
+    for answer, one, load in zip(answers, energy, loads, strict=True):
+        _, answer[...], failed = lapack.dposv(one, load, lower=1)
+        if failed:  # a plate that buckles
+            answer[...] = np.linalg.solve(one, load)
+    return answers
 
 
 def at_points(rows: Array, basis: RitzBasis) -> Array:

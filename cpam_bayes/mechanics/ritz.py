@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -104,7 +105,7 @@ def graded_quadrature(rates: Sequence[float], degree: int) -> tuple[Array, Array
     while rates and (step := first * 3.0 ** (len(cuts) - 1)) + cuts[-1] < 0.4:
         cuts.append(cuts[-1] + step)
     nodes = np.array([*cuts, *[1.0 - c for c in reversed(cuts)]])
-    points, weights = legendre.leggauss(max(12, degree + 2))
+    points, weights = _gauss(max(12, degree + 2))
     half, middle = np.diff(nodes)[:, None] / 2, (nodes[1:] + nodes[:-1])[:, None] / 2
     return (middle + half * points).ravel(), (half * weights).ravel()
 
@@ -117,8 +118,15 @@ def broken_quadrature(breaks: tuple[float, ...]) -> tuple[Array, Array]:
     return _composite(nodes[np.append(np.diff(nodes) > 1e-12, True)])
 
 
+@cache
+def _gauss(n: int) -> tuple[Array, Array]:
+    """Points and weights of the Gauss rule on [-1, 1], (n,) each."""
+    points, weights = legendre.leggauss(n)
+    return points, weights
+
+
 def _composite(nodes: Array) -> tuple[Array, Array]:
-    points, weights = legendre.leggauss(20)
+    points, weights = _gauss(20)
     half, middle = np.diff(nodes)[:, None] / 2, (nodes[1:] + nodes[:-1])[:, None] / 2
     return (middle + half * points).ravel(), (half * weights).ravel()
 

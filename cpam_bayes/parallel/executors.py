@@ -22,7 +22,7 @@ import traceback
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from io import BufferedIOBase
@@ -34,6 +34,7 @@ from typing import Any, TypeVar, cast
 
 from cpam_bayes import __version__
 from cpam_bayes.running import cores, keep_to_one_core, single_blas_thread
+from cpam_bayes.storage import draft_file
 
 # Bytes of a buffer from which on it stands beside the pickle.
 _LARGE = 1 << 20
@@ -166,7 +167,7 @@ def work_through(work: Callable[[Any, Any], Any], ticket: Ticket, items: bytes) 
             f"the worker on {socket.gethostname()} (process {os.getpid()}) has cpam_bayes {__version__}, "
             f"this process {ticket.version}; install the same version in both places"
         )
-    available, shared = _shared(ticket)
+    available, shared = shared_of(ticket)
     if not available:
         return Outcome(missing=True)
     return _through(work, shared, pickle.loads(items))
@@ -197,7 +198,7 @@ def _portable(error: Exception) -> Exception:
     return error
 
 
-def _shared(ticket: Ticket) -> tuple[bool, Any]:
+def shared_of(ticket: Ticket) -> tuple[bool, Any]:
     """The shared object, after True where it could be had."""
     # Threads of one process wait for the one that restores it.
     with _lock:
@@ -363,6 +364,26 @@ class ProcessPool(Executor):
         self._reader, self._lifeline = get_context("spawn").Pipe(duplex=False)
         self._pool = self._new_pool()
         self._started: set[BaseProcess] = set()
+        self._lasting: tuple[list[Any], Ticket] | None = None
+        self._files = ExitStack()
+
+    def ticket_of(self, parts: list[Any]) -> Ticket:
+        """A ticket for objects, the last one where they are the same objects; raises as pickle does."""
+        if self._lasting is not None:
+            known, ticket = self._lasting
+            if len(known) == len(parts) and all(a is b for a, b in zip(known, parts, strict=True)):
+                return ticket
+        self._forget()
+        path, file = self._files.enter_context(draft_file())
+        write_shared(parts, file)
+        ticket = Ticket(digest_of_file(file), str(path))
+        file.close()
+        self._lasting = (parts, ticket)
+        return ticket
+
+    def _forget(self) -> None:
+        self._lasting = None
+        self._files.close()
 
     def _new_pool(self) -> ProcessPoolExecutor:
         return ProcessPoolExecutor(
@@ -391,6 +412,7 @@ class ProcessPool(Executor):
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Let the workers finish, then stop them."""
         self._pool.shutdown(wait, cancel_futures=cancel_futures)
+        self._forget()
         if wait:
             self._lifeline.close()
             self._reader.close()
@@ -402,6 +424,7 @@ class ProcessPool(Executor):
             worker.kill()
         self._lifeline.close()
         self._pool.shutdown(cancel_futures=True)
+        self._forget()
         self._reader.close()
 
 

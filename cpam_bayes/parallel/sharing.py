@@ -24,6 +24,7 @@ from typing import Any, TypeVar, cast
 from cpam_bayes.parallel.executors import (
     DaskCluster,
     Outcome,
+    ProcessPool,
     Ticket,
     WorkersLostError,
     copied,
@@ -32,6 +33,7 @@ from cpam_bayes.parallel.executors import (
     forget,
     open_executor,
     reporting,
+    shared_of,
     work_through,
     workers_of,
     write_shared,
@@ -54,6 +56,33 @@ _GROWTH = 8
 _LOOK_SECONDS = 1.0
 # Batches handed out for each worker: one that it works on and one that waits.
 _AHEAD = 2
+
+
+class Lasting:
+    """Objects that several calls of `run` share: worker processes are sent them once for all calls."""
+
+    def __init__(self, parts: list[Any] | None, ticket: Ticket | None = None) -> None:
+        self._parts, self._ticket = parts, ticket
+
+    @property
+    def parts(self) -> list[Any]:
+        """The objects, a worker's own ones in a worker."""
+        if self._parts is None:
+            assert self._ticket is not None
+            _, self._parts = shared_of(self._ticket)
+        return cast("list[Any]", self._parts)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Their ticket alone, where there is one."""
+        return Lasting, (None if self._ticket else self._parts, self._ticket)
+
+
+def lasting(parts: list[Any], executor: Executor | None) -> Lasting:
+    """Objects for calls on an executor, which must not change; raises as pickle does.
+
+    Processes of this machine are not sent again what the call before shared too.
+    """
+    return Lasting(parts, executor.ticket_of(parts) if isinstance(executor, ProcessPool) else None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -338,6 +338,16 @@ def build(specimen: Specimen) -> tuple[ReducedModel, list[str]]:
     return model, said
 
 
+def test_masses_of_translation_and_rotation_are_both_diagonal(b1: Specimen) -> None:
+    gauged = replace(b1, plate=replace(b1.plate, sd={"thickness": 0.03 * b1.plate.thickness}))
+    model = reduced_model(gauged, gauged.unknowns.union(size_parameters(gauged)), 3, settings=QUICK)
+    of_both = [block for block in model.fast.operator.blocks if len(block.mass.stack) == 2]
+    assert of_both
+    assert all(block.mass.is_diagonal for block in of_both)
+    x = prior_draws(model.full, 20, seed=2)
+    np.testing.assert_allclose(model.predict(x).frequencies, model.full.predict(x).frequencies, rtol=3e-3)
+
+
 def test_a_process_makes_a_model_once(b1: Specimen) -> None:
     first, said = build(replace(b1, plate=replace(b1.plate, length=1.01 * b1.plate.length)))
     again, silence = build(replace(b1, plate=replace(b1.plate, length=1.01 * b1.plate.length)))

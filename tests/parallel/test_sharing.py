@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from cpam_bayes.parallel import WorkersLostError, observed, open_executor, run
+from cpam_bayes.parallel import WorkersLostError, lasting, observed, open_executor, run
 from cpam_bayes.parallel.executors import Ticket, work_through
 from tests.parallel import work
 
@@ -339,3 +339,26 @@ def test_an_interrupt_of_the_whole_session_stops_workers_without_a_word(tmp_path
 def test_workers_leave_when_their_owner_is_killed(tmp_path: Path) -> None:
     done = _script(tmp_path, on_result="os.kill(os.getpid(), signal.SIGKILL)")
     assert done.returncode == -signal.SIGKILL
+
+
+@pytest.mark.parametrize("executor", ["two", "threads"], indirect=True)
+def test_what_several_calls_share_is_sent_to_a_process_once(executor: Executor, tmp_path: Path) -> None:
+    log = tmp_path / "restored"
+    parts = [work.Counted(3, str(log)), work.Counted(4, str(log))]
+    for of_call in (10, 20, 30):
+        found = run(work.of_lasting, (lasting(list(parts), executor), of_call), range(8), executor)
+        assert found == [([3, 4], of_call + item) for item in range(8)]
+    if not isinstance(executor, ThreadPoolExecutor):
+        assert len(work.lines(log)) == len(parts) * len(set(work.lines(log)))
+    parts[1] = work.Counted(5, str(log))
+    (found,) = run(work.of_lasting, (lasting(parts, executor), 0), [0], executor)
+    assert found == ([3, 5], 0)
+
+
+def test_objects_that_last_leave_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with open_executor("processes", 1) as executor:
+        lasting([MATRIX], executor)
+        lasting([2.0 * MATRIX], executor)
+        assert len(list(tmp_path.iterdir())) == 1
+    assert not list(tmp_path.iterdir())

@@ -15,6 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_info
 
 from cpam_bayes.inference.posterior import Posterior
+from cpam_bayes.parallel import Lasting
 from cpam_bayes.parallel import executors as worker
 
 
@@ -153,3 +154,9 @@ def log_probabilities(shared: Evaluation, seed: int) -> np.ndarray:
         os.kill(os.getpid(), signal.SIGKILL)
     x = shared.posterior.parameters.sample(np.random.default_rng(seed), 50)
     return np.append(shared.posterior.log_prob(x), os.getpid())
+
+
+def of_lasting(call: tuple[Lasting, int], item: int) -> tuple[Any, int]:
+    """What the call shares, with the item."""
+    objects, of_call = call
+    return [part.value for part in objects.parts], of_call + item

@@ -31,7 +31,7 @@ from cpam_bayes.diagnosis.comparison import PlateCase, comparison_of
 from cpam_bayes.diagnosis.evidence.optima import SEARCH, coarse_misfit, prior_draws
 from cpam_bayes.diagnosis.hypotheses import NONE, Hypothesis
 from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion
-from cpam_bayes.inference.laplace import maximise, promised_gain
+from cpam_bayes.inference.laplace import Maxima, maximise, promised_gain
 from cpam_bayes.inference.log_density import LogDensity, kept_of
 
 Array = NDArray[Any]
@@ -83,11 +83,11 @@ def repairings(
         starts.append(np.concatenate((known, draws[order[:_FIRST]])))
     s, n = starts[0].shape
     rows = np.repeat(np.arange(len(variants)), s)
-    z, value = _maximised(plain, wide, np.concatenate(starts), index[rows], mask[rows], _FIRST_STEPS)
-    order = np.argsort(-value.reshape(-1, s), axis=1, kind="stable")[:, :_SECOND]
+    first = _maximised(plain, wide, np.concatenate(starts), index[rows], mask[rows], _FIRST_STEPS)
+    order = np.argsort(-first.expansion.value.reshape(-1, s), axis=1, kind="stable")[:, :_SECOND]
     chosen = (order + s * np.arange(len(variants))[:, None]).ravel()
-    rows = rows[chosen]
-    z, _ = _maximised(plain, wide, z[chosen], index[rows], mask[rows], _SECOND_STEPS)
+    rows, there = rows[chosen], first.expansion.of(chosen)
+    z = _maximised(plain, wide, first.u[chosen], index[rows], mask[rows], _SECOND_STEPS, there).u
     value = _over_noise(plain, wide, z, index[rows], mask[rows]).reshape(-1, _SECOND)
     z = z.reshape(-1, _SECOND, n)
     fits = []
@@ -138,9 +138,15 @@ def _indices(
 
 
 def _maximised(
-    plain: LogDensity, wide: LogDensity, z: Array, index: Array, mask: Array, steps: int
-) -> tuple[Array, Array]:
-    """Optima of constants at held noise, one pairing a row, and log densities there.
+    plain: LogDensity,
+    wide: LogDensity,
+    z: Array,
+    index: Array,
+    mask: Array,
+    steps: int,
+    known: Expansion | None = None,
+) -> Maxima:
+    """Optima of constants at held noise, one pairing a row, from starts z (m, n) and what is known there.
 
     What cannot come near the best of all rows is given up.
     """
@@ -152,12 +158,18 @@ def _maximised(
         m = len(at)
         value, gradient, curvature = np.full(m, -np.inf), np.zeros((m, n)), np.zeros((m, n, n))
         x = plain.scores.to_x(at)
-        inside, f, slope = wide.predict_inside(x, jacobian=True)
+        # pairings begin from the same points
+        distinct, place = np.unique(x, axis=0, return_inverse=True)
+        of_distinct, f, slope = wide.predict_inside(distinct, jacobian=True)
+        number = np.full(len(distinct), -1)
+        number[of_distinct] = np.arange(len(of_distinct))
+        solved = number[place.ravel()]
+        inside = np.flatnonzero(solved >= 0)
         if len(inside):
             assert slope is not None
             chosen, used = index[rows[inside]], mask[rows[inside]]
-            f = np.take_along_axis(f, chosen, axis=1)
-            slope = np.take_along_axis(slope, chosen[..., None], axis=1)
+            f = np.take_along_axis(f[solved[inside]], chosen, axis=1)
+            slope = np.take_along_axis(slope[solved[inside]], chosen[..., None], axis=1)
             slope = plain.residual_slopes(f, slope)
             variance = plain.variance(x[inside])
             r = np.where(used, plain.residuals(f), 0.0)
@@ -176,9 +188,7 @@ def _maximised(
         return np.asarray(reach < factor * best - _HOPELESS_NATS)
 
     bound = np.full(n, MAX_SCORE)
-    maxima = maximise(target, z, -bound, bound, most_steps=steps, promised=1e-2, hopeless=hopeless)
-    value = maxima.expansion.value
-    return maxima.u, np.where(np.isfinite(value), value, -1e300)
+    return maximise(target, z, -bound, bound, most_steps=steps, promised=1e-2, hopeless=hopeless, known=known)
 
 
 def _over_noise(plain: LogDensity, wide: LogDensity, z: Array, index: Array, mask: Array) -> Array:

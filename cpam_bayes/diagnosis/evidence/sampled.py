@@ -8,7 +8,8 @@ from __future__ import annotations
 import pickle
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from io import BytesIO
 from typing import Any, TypeVar
 
@@ -24,7 +25,7 @@ from cpam_bayes.inference.student_mixture import (
     Weighted,
     sobol_points,
 )
-from cpam_bayes.parallel import ProcessPool, run
+from cpam_bayes.parallel import Lasting, ProcessPool, lasting, run
 from cpam_bayes.running import single_blas_thread
 
 Item = TypeVar("Item")
@@ -52,9 +53,11 @@ def shared_out(
     common : what all items hold beside the models, sent once
     progress : is told the number of items that are done
     """
-    held = [common, *_held(cases)]
+    held = _held(cases)
     try:
-        pickle.dumps(held)
+        call = _Call(work, lasting(held, executor), _packed(held, common))
+        pickle.dumps(call)
+        held = [common, *held]
         packed = [_packed(held, item) for item in items]
     except (pickle.PicklingError, AttributeError, TypeError):
         return [work(item) for item in items]
@@ -64,7 +67,7 @@ def shared_out(
         done.append(index)
         progress(len(done))
 
-    answers = run(_worked, (work, held), packed, executor, batch_size=1, on_result=count)
+    answers = run(_worked, call, packed, executor, batch_size=1, on_result=count)
     return [_unpacked(held, answer) for answer in answers]
 
 
@@ -78,9 +81,27 @@ def _loaded() -> None:
     """Empty task, after which a worker has loaded this module."""
 
 
-def _worked(shared: tuple[Callable[[Any], Any], Held], item: bytes) -> bytes:
-    work, held = shared
-    return _packed(held, work(_unpacked(held, item)))
+@dataclass(frozen=True)
+class _Call:
+    """What all items of a call share.
+
+    models : of the plates, the same in most calls of a diagnosis
+    common : a pickle of what they hold beside these
+    """
+
+    work: Callable[[Any], Any]
+    models: Lasting
+    common: bytes
+
+    @cached_property
+    def held(self) -> Held:
+        """The objects that are numbers in the pickles of items and answers."""
+        models = self.models.parts
+        return [_unpacked(models, self.common), *models]
+
+
+def _worked(call: _Call, item: bytes) -> bytes:
+    return _packed(call.held, call.work(_unpacked(call.held, item)))
 
 
 def _held(cases: Sequence[PlateCase]) -> Held:
