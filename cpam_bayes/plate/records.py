@@ -49,6 +49,8 @@ USER_UNITS: Final[Mapping[str, tuple[str, float]]] = MappingProxyType(
         "relative_std": ("relative_std", 1.0),
         "absolute_sd_hz": ("absolute_sd", 1.0),
         "frequency_scale": ("frequency_scale", 1.0),
+        "theory_shear": ("theory_shear", 1.0),
+        "theory_level": ("theory_level", 1.0),
     }
 )
 """Name in the plate file -> (name inside, what one of the file's unit is in SI)."""
