@@ -193,7 +193,7 @@ def run(
         n_modes = 4 if quick else min(N_MODES, specimen.measurement.size if specimen.measurement else N_MODES)
         rows.append(measured(name, every[name], in_plane, n_modes))
         done(rows[-1])
-    return {"quick": quick, "cases": rows}
+    return {"quick": quick, "cases": rows, "fit": fitted(rows)}
 
 
 def main(arguments: list[str] | None = None) -> int:
