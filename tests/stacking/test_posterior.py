@@ -170,7 +170,7 @@ def test_the_truth_is_among_the_few_sequences_that_are_good_with_more_noise() ->
     few = TrainingSettings(initial=60, exploration_rounds=3, each_round=40, max_size=180, log2_points=4)
     settings = replace(QUICK, exhaustive=0, training=few)
     # so thin that the error of theory leaves the peak as narrow as the noise makes it
-    problem = stacking_problem(listed(layup, step, truth, 0.001, 0.0008), 0, settings=settings)
+    problem = stacking_problem(listed(layup, step, truth, 0.0003, 0.0008), 0, settings=settings)
     assert problem.sums is not None
     true = members(np.searchsorted(problem.grid_deg, truth), problem.symmetries)
     for seed in (0, 1):
