@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 import cpam_bayes as cb
 from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.calculix import solve_modes
+from cpam_bayes.forward_model.known_errors import common_sd
 from cpam_bayes.forward_model.model import (
     NO_PARAMETERS,
     ROOM_AIR,
@@ -32,7 +33,7 @@ from cpam_bayes.forward_model.three_dimensions import (
     theory_error,
 )
 from cpam_bayes.mechanics.problem import THEORY_ALONE
-from cpam_bayes.plate import Specimen, builtin
+from cpam_bayes.plate import Specimen, builtin, to_user, user_name
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.render.plate import air_text
 from tests.hybrids import hybrid
@@ -192,6 +193,13 @@ def test_predictions_and_their_slopes_have_the_bias() -> None:
         step = each * np.eye(x.shape[1])[i]
         after, before = model.predict(x + step).frequencies[0], model.predict(x - step).frequencies[0]
         assert_allclose(found.jacobian[0, :, i], (after - before) / (2 * each), rtol=1e-4)
+
+
+def test_what_errs_in_common_has_a_name_where_parameters_are_shown() -> None:
+    common = common_sd(carbon("[0/45/-45/90]_s", "CFFF"))
+    assert {THEORY_SHEAR, THEORY_LEVEL} < set(common)
+    assert [user_name(name) for name in (THEORY_SHEAR, THEORY_LEVEL)] == ["theory_shear", "theory_level"]
+    assert all(to_user(name, 1.0) > 0.0 for name in common)
 
 
 def test_constants_of_a_plate_in_three_dimensions_are_not_biased() -> None:
