@@ -61,9 +61,9 @@ class SpaceValues:
             key = (i, region, atom.derivative)
             if key not in self._sectors:
                 x, y = self._coordinates(region)
-                in_x = self.at(sector.x, x, atom.derivative == "x")[:, sector.pairs[:, 0]]
-                in_y = self.at(sector.y, y, atom.derivative == "y")[:, sector.pairs[:, 1]]
-                self._sectors[key] = in_x * in_y
+                in_x = self.at(sector.x, x, atom.derivative == "x")
+                in_y = self.at(sector.y, y, atom.derivative == "y")
+                self._sectors[key] = sector.products(in_x, in_y)
             found.append((i, self._sectors[key]))
         return found
 

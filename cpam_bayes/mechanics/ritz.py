@@ -267,6 +267,10 @@ class Sector:
         """Number of trial functions."""
         return len(self.pairs)
 
+    def products(self, in_x: Array, in_y: Array) -> Array:
+        """The trial functions by values of the two families, (n, x.size) and (n, y.size)."""
+        return np.asarray(in_x[:, self.pairs[:, 0]] * in_y[:, self.pairs[:, 1]])
+
 
 @dataclass(frozen=True)
 class RitzSpace:
@@ -324,7 +328,7 @@ def evaluate_sector(sector: Sector, points: Array, derivative: Derivative) -> Ar
     """Trial functions of one sector at points (n, 2), (n, size)."""
     x = sector.x.evaluate(points[:, 0], derivative == "x")
     y = sector.y.evaluate(points[:, 1], derivative == "y")
-    return np.asarray(x[:, sector.pairs[:, 0]] * y[:, sector.pairs[:, 1]])
+    return sector.products(x, y)
 
 
 def ritz_space(edges: str, nominal: PlateState, settings: RitzSettings) -> RitzSpace:

@@ -157,6 +157,16 @@ def digest_of_file(file: BufferedIOBase) -> str:
     return digest
 
 
+@contextmanager
+def written_ticket(shared: Any) -> Iterator[Ticket]:
+    """A ticket for an object in a file, for workers of this machine, as long as it is needed."""
+    with draft_file() as (path, file):
+        write_shared(shared, file)
+        digest = digest_of_file(file)
+        file.close()
+        yield Ticket(digest, str(path))
+
+
 def work_through(work: Callable[[Any, Any], Any], ticket: Ticket, items: bytes) -> Outcome:
     """Do the work on a batch, ``items`` being a pickled list.
 
@@ -374,10 +384,7 @@ class ProcessPool(Executor):
             if len(known) == len(parts) and all(a is b for a, b in zip(known, parts, strict=True)):
                 return ticket
         self._forget()
-        path, file = self._files.enter_context(draft_file())
-        write_shared(parts, file)
-        ticket = Ticket(digest_of_file(file), str(path))
-        file.close()
+        ticket = self._files.enter_context(written_ticket(parts))
         self._lasting = (parts, ticket)
         return ticket
 

@@ -29,17 +29,15 @@ from cpam_bayes.parallel.executors import (
     WorkersLostError,
     copied,
     digest_of,
-    digest_of_file,
     forget,
     open_executor,
     reporting,
     shared_of,
     work_through,
     workers_of,
-    write_shared,
+    written_ticket,
 )
 from cpam_bayes.running import TimeIsUpError, is_time_up, single_blas_thread, time_is_up_error, time_limit
-from cpam_bayes.storage import draft_file
 
 T = TypeVar("T")
 Shared = TypeVar("Shared")
@@ -335,11 +333,8 @@ def _issued(shared: Any, executor: Executor) -> Iterator[Ticket]:
         finally:
             executor.forget(digest)
         return
-    with draft_file() as (path, file):
-        write_shared(shared, file)
-        digest = digest_of_file(file)
-        file.close()
+    with written_ticket(shared) as ticket:
         try:
-            yield Ticket(digest, str(path))
+            yield ticket
         finally:
-            forget(digest)  # threads of this process restored it here
+            forget(ticket.digest)  # threads of this process restored it here
