@@ -2,8 +2,9 @@
 
 python studies/24_nested_evidence.py [--quick] [--cases N] [--minutes M]
 
-The lists are those of 18_evidence_reference.py. What the importance sampler says of hypotheses near the best
-is compared with static nested sampling (dynesty, the extra `audit`), which shares the density alone with it.
+The lists are drawn from the models themselves (`validation/evidence_lists.py`). What the importance sampler
+says of hypotheses near the best is compared with static nested sampling (dynesty, the extra `audit`), which
+shares the density alone with it.
 Runs go on from the saved cases, --minutes ends one early.
 """
 

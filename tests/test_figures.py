@@ -54,9 +54,7 @@ def drawn_by(name: str) -> set[str]:
 
 
 # Studies whose smallest run takes more than 18 s.
-LONGEST = (
-    *("14_sequence_reference", "15_claims", "18_evidence_reference", "21_hard_use", "23_growth", "27_coins"),
-)
+LONGEST = (*("14_sequence_reference", "15_claims", "21_hard_use", "23_growth", "27_coins"),)
 
 
 @pytest.mark.slow

@@ -100,8 +100,6 @@ def test_saved_studies_converge_and_agree() -> None:
     found = saved("01_first_light")["identifications"]
     assert {f["swarm"] for f in found} == {"converged"}
     assert all(f["solver_error_percent"] <= 0.05 for f in found)
-    evidences = saved("06_evidence")["specimens"]
-    assert [s["agrees"] for s in evidences] == [True] * 3
     # thin plates: the error of the mesh; thick ones: as much again from the theory itself
     for row in saved(AGREEMENT)["specimens"]:
         if row["bricks"] is not None:

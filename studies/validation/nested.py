@@ -4,115 +4,19 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from cpam_bayes.inference.derivatives import coordinates, log_density
 from cpam_bayes.inference.log_density import LogDensity
-from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
 
-# Bounds that are infinite are cut so many standard deviations of the prior from its mean.
-_REACH = 10.0
 # Stands for log 0, which dynesty does not take.
 _NOTHING = -1e300
-# Simulated shrinkages of the prior volume, which say how uncertain a run's moments are.
-_RESAMPLINGS = 40
-
-
-@dataclass(frozen=True, slots=True)
-class NestedEvidence:
-    """What independent runs of nested sampling say of a posterior.
-
-    standard_error : of log_evidence.
-    mean, sd : (n,) of the parameters, mean_error, sd_error : (n,) their standard errors. An error is the
-    larger of what the runs say of themselves and of their scatter.
-    calls : of the log probability.
-    """
-
-    log_evidence: float
-    standard_error: float
-    mean: Array
-    sd: Array
-    mean_error: Array
-    sd_error: Array
-    calls: int
-
-
-@dataclass(frozen=True, slots=True)
-class _Run:
-    """One run: log evidence with its error, moments (2, n) with theirs, calls."""
-
-    log_evidence: float
-    error: float
-    moments: Array
-    moments_error: Array
-    calls: int
-
-
-@single_blas_thread
-def nested_evidence(
-    posterior: Posterior, seed: int, *, runs: int = 5, live_points: int = 200, batch: int = 24
-) -> NestedEvidence:
-    """The evidence of a posterior by static nested sampling (Skilling, 2006; Speagle, 2020).
-
-    The unit cube is the box of the bounds (log-spaced for the amplitude of the noise), the prior's density
-    is part of the likelihood. New points come from random slices. ``batch`` of them advance side by
-    side, so that the log probability is asked for stacks. Several small runs rather than a large one: on
-    B1 evidences scatter up to twice as widely as a run says. Needs the extra ``audit``.
-    """
-    results = [_run(posterior, np.random.default_rng([seed, 5, r]), live_points, batch) for r in range(runs)]
-    moments = np.stack([run.moments for run in results])
-    values = np.array([run.log_evidence for run in results])
-    moments_error = _error(moments, np.stack([run.moments_error for run in results]))
-    return NestedEvidence(
-        log_evidence=float(values.mean()),
-        standard_error=float(_error(values, np.array([run.error for run in results]))),
-        mean=moments[:, 0].mean(axis=0),
-        sd=moments[:, 1].mean(axis=0),
-        mean_error=moments_error[0],
-        sd_error=moments_error[1],
-        calls=sum(run.calls for run in results),
-    )
-
-
-def _error(values: Array, errors: Array) -> Array:
-    """Standard error of the mean over runs, (runs, ...) -> (...)."""
-    within = np.sqrt(np.mean(errors**2, axis=0))
-    scatter = values.std(axis=0, ddof=1) if len(values) > 1 else within
-    return np.asarray(np.maximum(within, scatter) / np.sqrt(len(values)))
-
-
-def _run(posterior: Posterior, rng: np.random.Generator, live_points: int, batch: int) -> _Run:
-    from dynesty.utils import resample_run
-
-    axes = coordinates(posterior)
-    parameters = posterior.parameters
-    centre = axes.to_u(np.array([p.prior.mean for p in parameters.parameters]))
-    lower = np.where(axes.logged, axes.lower, np.maximum(axes.lower, centre - _REACH))
-    upper = np.where(axes.logged, axes.upper, np.minimum(axes.upper, centre + _REACH))
-    width = upper - lower
-
-    def batched(u: Array) -> Array:
-        values = log_density(posterior, axes, u) + np.log(width).sum()
-        return np.where(np.isfinite(values), values, _NOTHING)
-
-    results = _sampled(batched, lambda cube: lower + width * cube, parameters.size, rng, live_points, batch)
-    again = [resample_run(results, rstate=rng) for _ in range(_RESAMPLINGS)]
-    spread = [_moments(axes.to_x(r.samples), r.logwt) for r in again]
-    return _Run(
-        log_evidence=float(results.logz[-1]),
-        error=float(results.logzerr[-1]),
-        moments=_moments(axes.to_x(results.samples), results.logwt),
-        moments_error=np.std(spread, axis=0),
-        calls=int(np.sum(results.ncall)),
-    )
 
 
 def _sampled(
@@ -156,14 +60,6 @@ def nested_of_density(
 
     results = _sampled(batched, ndtri, density.parameters.size, rng, live_points, batch)
     return float(results.logz[-1]), float(results.logzerr[-1])
-
-
-def _moments(x: Array, log_weight: Array) -> Array:
-    """Mean and sd of weighted points (m, n), (2, n)."""
-    w = np.exp(log_weight - log_weight.max())
-    w /= w.sum()
-    mean = w @ x
-    return np.stack((mean, np.sqrt(w @ (x - mean) ** 2)))
 
 
 class Lockstep:
