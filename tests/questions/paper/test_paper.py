@@ -60,7 +60,8 @@ def aluminium() -> tuple[PaperResult, Path]:
 
 
 def test_every_table_has_rows_for_all_its_printed_values() -> None:
-    empty = {n: list(module._rows(n, {}, packaged("calculix"), packaged("sequences"))) for n in NUMBERS}
+    stored = {name: packaged(name) for name in ("calculix", "sequences", "swarms")}
+    empty = {n: list(module._rows(n, {}, stored)) for n in NUMBERS}
     assert all(empty[n] for n in (2, 3, 4, 9))
     assert {n for n in NUMBERS if not tasks_of(n, 0)} == {2, 3, 4}
 
@@ -190,7 +191,7 @@ def test_four_constants_of_aluminium_are_searched_beyond_the_bounds_of_eq_8() ->
     ]
 
 
-@pytest.mark.parametrize("name", ["calculix", "diagnoses", "sequences"])
+@pytest.mark.parametrize("name", ["calculix", "diagnoses", "sequences", "swarms"])
 def test_what_comes_with_the_package_is_what_its_study_found(name: str) -> None:
     spec = importlib.util.spec_from_file_location("paper_study", PROJECT / "studies" / "19_paper.py")
     study = importlib.util.module_from_spec(spec)
