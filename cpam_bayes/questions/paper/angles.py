@@ -75,6 +75,13 @@ class Ends:
         return np.asarray(np.abs(self.away_deg).mean(axis=(-2, -1)))
 
     @property
+    def is_within_error(self) -> NDArray[np.bool_]:
+        """Whether the mean of every ply is within the standard errors of the printed one, (...,)."""
+        groups = self.away_deg.shape[-2]
+        error = self.spread_deg * math.sqrt(1.0 / groups + 1.0 / PRINTED_GROUPS)
+        return np.asarray(np.all(np.abs(self.mean_deg) <= STANDARD_ERRORS * error, axis=-1))
+
+    @property
     def spread_deg(self) -> Array:
         """Circular standard deviation of each ply, whose angle repeats after 180 degrees, (..., plies)."""
         length = np.abs(np.exp(2j * np.radians(self.away_deg)).mean(axis=-2))
@@ -103,10 +110,12 @@ class NoisyAngles:
     printed, means_deg : mean angle of each unknown ply, the outermost first; ours on the images nearest the
         printed one
     spread_deg : circular standard deviation of each angle
+    within_error : whether every mean is within the standard errors of the printed one
     found : inversions that ended at the printed sequence, or at an image of it
     distinct : sequences among their ends, images counted once
     chance_near, chance_close : share of uniform angles that are as near the printed ones as ours, and that
         are as close together
+    chance_within : share of uniform angles that show a preference and are within the standard errors
     chance_spread_deg : spread of uniform angles by ply
     chance_more_deg, chance_more_sd_deg : spread of the innermost ply less that of the outermost, of uniform
         angles
@@ -115,11 +124,13 @@ class NoisyAngles:
     printed: tuple[int, ...]
     means_deg: tuple[float, ...]
     spread_deg: tuple[float, ...]
+    within_error: bool
     found: int
     distinct: int
     groups: int
     chance_near: float
     chance_close: float
+    chance_within: float
     chance_spread_deg: tuple[float, ...]
     chance_more_deg: float
     chance_more_sd_deg: float
@@ -133,17 +144,21 @@ class NoisyAngles:
         ends = Ends.of(np.array(level["angles_deg"], dtype=float), goal, motions)
         away = ends.away_deg
         uniform = no_preference(goal, motions, len(away), (table, round(level["level_percent"])))
-        spread = uniform.spread_deg
+        spread, distance = uniform.spread_deg, uniform.distance_deg
+        together = spread.mean(axis=-1)
+        prefer = (distance <= np.quantile(distance, _CHANCE)) | (together <= np.quantile(together, _CHANCE))
         more = spread[:, -1] - spread[:, 0]
         return cls(
             printed=goal,
             means_deg=tuple(float(m) for m in _wrapped(np.array(goal) + ends.mean_deg)),
             spread_deg=tuple(float(d) for d in ends.spread_deg),
+            within_error=bool(ends.is_within_error),
             found=int(np.sum(np.all(away == 0.0, axis=1))),
             distinct=len(np.unique(away, axis=0)),
             groups=len(away),
-            chance_near=float(np.mean(uniform.distance_deg <= ends.distance_deg)),
-            chance_close=float(np.mean(spread.mean(axis=-1) <= ends.spread_deg.mean())),
+            chance_near=float(np.mean(distance <= ends.distance_deg)),
+            chance_close=float(np.mean(together <= ends.spread_deg.mean())),
+            chance_within=float(np.mean(prefer & uniform.is_within_error)),
             chance_spread_deg=tuple(float(d) for d in spread.mean(axis=0)),
             chance_more_deg=float(more.mean()),
             chance_more_sd_deg=float(more.std()),
@@ -155,8 +170,6 @@ class NoisyAngles:
 
         Agrees where each mean is nearest to the printed angle on the grid; told apart by its error.
         """
-        away = np.abs(_wrapped(np.subtract(self.means_deg, self.printed)))
-        error = np.array(self.spread_deg) * math.sqrt(1.0 / self.groups + 1.0 / PRINTED_GROUPS)
         said = (
             f"{self.found} of {self.groups} inversions end there, at {self.distinct} sequences in all; of "
             f"uniform angles {100.0 * self.chance_near:.2g} % are as near the print, "
@@ -164,9 +177,9 @@ class NoisyAngles:
         )
         if min(self.chance_near, self.chance_close) > _CHANCE:
             return UNDETERMINED, said
-        if np.all(away <= _GRID_DEG / 2.0):
+        if np.all(np.abs(_wrapped(np.subtract(self.means_deg, self.printed))) <= _GRID_DEG / 2.0):
             return AGREES, said
-        return (UNTOLD if np.all(away <= STANDARD_ERRORS * error) else NOT_REPRODUCIBLE), said
+        return (UNTOLD if self.within_error else NOT_REPRODUCIBLE), said
 
     @property
     def details(self) -> dict[str, float | None]:
@@ -179,6 +192,8 @@ class NoisyAngles:
             **spread,
             "chance_near": self.chance_near,
             "chance_close": self.chance_close,
+            "chance_within": self.chance_within,
+            "on_grid": float(all(angle % _GRID_DEG == 0.0 for angle in self.printed)),
             **of_chance,
             "chance_more_deg": self.chance_more_deg,
             "chance_more_sd_deg": self.chance_more_sd_deg,
@@ -210,6 +225,9 @@ def noisy_angles(rows: Sequence[Row]) -> str:
     if not of_angles:
         return ""
     found = sum(int(row.details["found"] or 0) for row in of_angles)
+    on_grid = sum(row.details["on_grid"] == 1.0 for row in of_angles)
+    within = sum(row.verdict in (AGREES, UNTOLD) for row in of_angles)
+    by_chance = sum(row.details["chance_within"] or 0.0 for row in of_angles)
     undetermined = [row for row in of_angles if row.verdict == UNDETERMINED]
     said = (
         "Angles and constants sought together by one fuzzy swarm, as the paper did, on ten perturbed lists "
@@ -217,8 +235,10 @@ def noisy_angles(rows: Sequence[Row]) -> str:
         "an image of them with the same frequencies. "
         f"At {len(undetermined)} of {len(of_angles)} levels the ends are neither nearer the print nor "
         f"closer together than uniform angles (more than {100.0 * _CHANCE:.0f} % of {_DRAWS} draws are as "
-        "near, and as close): nothing can be said of these means. All printed means are multiples of 5 "
-        "degrees, which a mean of ten angles on that grid is by chance only."
+        "near, and as close): nothing can be said of these means. The printed means agree with ours or "
+        f"cannot be told apart at {within} levels, with uniform angles at {by_chance:.1f} on average. At "
+        f"{on_grid} all printed means are multiples of {_GRID_DEG:g} degrees; of means of ten angles on that "
+        "grid one in ten is."
     )
     parts = (said, _scatter(of_angles), _without_noise(rows), _weighed_angles(rows), _inner_plies(of_angles))
     return " ".join(filter(None, parts))

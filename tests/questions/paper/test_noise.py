@@ -253,6 +253,9 @@ def test_uniform_angles_show_nothing_and_scatter_as_the_row_says_of_them() -> No
     shown = np.mean([angles.verdict[0] != UNDETERMINED for angles in found])
     # two tests, each with a false alarm in 5 %, of which some alarm together
     assert 0.04 <= shown <= 0.14
+    within = np.mean([angles.verdict[0] in (AGREES, UNTOLD) for angles in found])
+    assert within == pytest.approx(found[0].chance_within, abs=0.035)
+    assert 0.0 < found[0].chance_within < 0.1
     spread = np.mean([angles.spread_deg for angles in found], axis=0)
     # the mean of 300 sets has a standard error of 0.6 degrees
     assert spread == pytest.approx(found[0].chance_spread_deg, abs=2.0)
