@@ -258,6 +258,14 @@ def test_the_page_begins_with_what_is_wrong_with_the_plates_that_no_constants_ex
     assert {name for name, line in said.items() if "Size: " in line} == {"C3", "C4"}
 
 
+def test_what_eq_12_must_mean_stands_in_the_audit_and_beside_the_noise(document: dict[str, Any]) -> None:
+    audit = document["audit"]
+    (note,) = (note for note in audit["misprints"] if "Eq. (12)" in note)
+    assert "1/frequency" in note
+    assert "1/frequency" in audit["means_of_ten"]
+    assert note in page(document)
+
+
 def test_a_changed_number_changes_the_page(document: dict[str, Any]) -> None:
     misfits = [dict(misfit) for misfit in document["audit"]["misfits"]]
     misfits[-1]["rms_percent"] = 1.2345
