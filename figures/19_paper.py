@@ -8,13 +8,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from journal import BLUE, DOUBLE_MM, GREEN, GREY, LIGHT, ORANGE, Drawing, Picture, figure
+from journal import BLUE, DOUBLE_MM, GREEN, GREY, LIGHT, ORANGE, SKY, Drawing, Picture, figure
 from matplotlib.figure import Figure
 
 MARKS = {
     "agrees": (BLUE, "o"),
     "within the posterior": (GREY, "D"),
     "cannot be told apart": (GREEN, "s"),
+    "not determined": (SKY, "v"),
     "not reproducible": (ORANGE, "^"),
 }
 # Beyond this a printed frequency lacks a digit.
@@ -91,7 +92,7 @@ def _differences(rows: list[dict[str, Any]]) -> Figure:
         axes.axvline(place - 0.5, color=LIGHT, linewidth=0.4)
     axes.tick_params(axis="x", length=0)
     axes.set(xlabel="table of the paper", ylabel="printed / computed - 1, %", xlim=(-0.5, len(tables) - 0.5))
-    new.legend(loc="outside upper center", ncols=4)
+    new.legend(loc="outside upper center", ncols=len(MARKS))
     return new
 
 

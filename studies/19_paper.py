@@ -47,6 +47,7 @@ SEED = 0
 # By which version and when the studies were run that the package's stored results are taken from.
 RUNS = {
     "02_agreement": {"version": "0.1.0", "date": "2026-11-21"},
+    "07_fpso": {"version": "0.1.0", "date": "2026-11-22"},
     "08_sequences": {"version": "0.1.0", "date": "2026-11-22"},
     "12_findings": {"version": "0.2.0", "date": "2026-11-27"},
 }
@@ -90,12 +91,14 @@ def rows_file(results: Results) -> str:
 
 
 def stored() -> dict[str, Results]:
-    """The results that come with the package, from those of studies 02, 08 and 12."""
-    agreement, sequences, findings = (
+    """The results that come with the package, from those of studies 02, 07, 08 and 12."""
+    agreement, swarms, sequences, findings = (
         json.loads((FOLDER / "results" / f"{name}.json").read_text("utf-8")) for name in RUNS
     )
     plates = {row["plate"]: row for row in agreement["specimens"] if row["bricks"] is not None}
     cases = {row["case"]: row for row in sequences["cases"] if row["case"] in identified_layups()}
+    names = {row.specimen for n in (11, 12, 13, 14) for row in printed_table(n).rows}
+    free = {row["case"]: row for row in swarms["cases"] if row["data"] == "printed" and row["case"] in names}
     measured = {row.specimen for n in (1, 4) for row in printed_table(n).rows}
     alone = {row["plates"][0]: row for row in findings["groups"] if len(row["plates"]) == 1}
     diagnosed = {name: row for name, row in alone.items() if name in measured}
@@ -124,6 +127,17 @@ def stored() -> dict[str, Results]:
                     "printed": row["printed"],
                 }
                 for name, row in cases.items()
+            },
+        },
+        "swarms": {
+            **RUNS["07_fpso"],
+            "command": "python studies/07_fpso.py",
+            "seconds": sum(
+                row["cost"]["solve_s"] * sum(run["evaluations"] for run in row["runs"])
+                for row in free.values()
+            ),
+            "cases": {
+                name: {"angles_deg": [run["angles_deg"] for run in row["runs"]]} for name, row in free.items()
             },
         },
         "diagnoses": {

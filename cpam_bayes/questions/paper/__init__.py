@@ -29,7 +29,8 @@ from cpam_bayes.printed.tables import (
     percentage_checks,
     printed_table,
 )
-from cpam_bayes.questions.paper.noise import means_of_ten, noise_rows, noisy_angles
+from cpam_bayes.questions.paper.angles import noisy_angles
+from cpam_bayes.questions.paper.noise import means_of_ten, noise_rows
 from cpam_bayes.questions.paper.present import page, report_of, row_table
 from cpam_bayes.questions.paper.rows import (
     BUILT_IN,
@@ -63,6 +64,7 @@ from cpam_bayes.questions.paper.work import (
     sequence_cases,
     simulation_errors,
     stamp,
+    swarms_without_noise,
     work,
     write,
 )
@@ -84,6 +86,7 @@ _SLOW: Final = {
     "calculix": ("CalculiX, 20-node bricks", {1, 5}),
     "diagnoses": ("diagnoses of the measured lists", {1, 5}),
     "sequences": ("posteriors over stacking sequences", {9, 11, 12, 13, 14}),
+    "swarms": ("fuzzy swarms without noise", {11, 12, 13, 14}),
 }
 # Seconds of the small effort over those of the full one, by kind, of all tables; it searches no angles.
 _QUICK_SHARE: Final = {"forward": 0.1, "constants": 0.16, "noise": 0.19}
@@ -222,6 +225,7 @@ def paper(
         "calculix": lambda: calculix_frequencies(watch),
         "diagnoses": lambda: diagnoses(seed, watch),
         "sequences": lambda: sequence_cases(seed, executor, workers, watch),
+        "swarms": lambda: swarms_without_noise(effort, _ANGLES_OF["angles"]),
     }
     found = {name: anew[name]() for name in slow}
     seconds = time.perf_counter() - start
@@ -239,12 +243,12 @@ def compared(
 ) -> PaperResult:
     """Printed values beside finished computations; nothing is computed.
 
-    slow : "calculix", "sequences" and "diagnoses"; those that come with the package where left out.
+    slow : "calculix", "sequences", "diagnoses" and "swarms"; those that come with the package where left out.
     """
     stored = {**{name: packaged(name) for name in _SLOW}, **(slow or {})}
     calculix, sequences, diagnosed = (stored[name] for name in ("calculix", "sequences", "diagnoses"))
     by_task: Computed = {(task.kind, task.specimen, task.case): results for task, results in computed.items()}
-    rows = tuple(row for n in numbers for row in _rows(n, by_task, calculix, sequences))
+    rows = tuple(row for n in numbers for row in _rows(n, by_task, stored))
     return PaperResult(
         seed=seed,
         notices=tuple(_notices(computed, quick)),
@@ -328,18 +332,17 @@ def _turn(task: Task) -> tuple[bool, bool, int]:
     return False, task.kind == "noise", _LONGEST.index(task.specimen)
 
 
-def _rows(
-    number: int, computed: Computed, calculix: Mapping[str, Any], sequences: Mapping[str, Any]
-) -> Iterator[Row]:
+def _rows(number: int, computed: Computed, stored: Mapping[str, Mapping[str, Any]]) -> Iterator[Row]:
+    """stored : slow work by name."""
     table = printed_table(number)
     yield from input_rows(table)
     if number in (1, 5):
-        yield from frequency_rows(table, computed, calculix)
+        yield from frequency_rows(table, computed, stored["calculix"])
     elif number in (6, 7, 8, 9):
         yield from constant_rows(table, computed)
-        yield from layup_rows(table, sequences)
+        yield from layup_rows(table, stored["sequences"])
     elif number in _NOISE:
-        yield from noise_rows(table, computed, sequences)
+        yield from noise_rows(table, computed, stored["sequences"], stored["swarms"])
 
 
 def _by_table(computed: Mapping[Task, Results], key: str) -> Iterator[tuple[Task, Results]]:

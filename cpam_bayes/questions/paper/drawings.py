@@ -15,6 +15,7 @@ from cpam_bayes.questions.paper.rows import (
     MISPRINTED,
     NOT_REPRODUCIBLE,
     TWO,
+    UNDETERMINED,
     UNTOLD,
     WITHIN,
 )
@@ -30,7 +31,13 @@ Record = Mapping[str, Any]
 OF_THE_PAPER: Final = (PAPER, f"{PAPER}, two constants")
 """Sources of the paper's own constants."""
 
-_COLOURS: Final = {AGREES: "#4878a8", WITHIN: "#8a8a8a", UNTOLD: "#c9b458", NOT_REPRODUCIBLE: "#c1440e"}
+_COLOURS: Final = {
+    AGREES: "#4878a8",
+    WITHIN: "#8a8a8a",
+    UNTOLD: "#c9b458",
+    UNDETERMINED: "#c9c9c9",
+    NOT_REPRODUCIBLE: "#c1440e",
+}
 
 
 def drawings(document: Record) -> tuple[Drawing, ...]:

@@ -75,26 +75,36 @@ def _perturbed(measured: Array, level: float, seed: int, groups: int) -> tuple[A
     return np.sort(np.abs(measured + noise), axis=1), sd
 
 
+def _ended(
+    specimen: Specimen, lists: Array, seeds: Sequence[int | Sequence[int]], swarm: SwarmSettings
+) -> tuple[Array, Array]:
+    """Angles (n, k), degrees, and constants (n, m), SI, of a fuzzy swarm on each list (n, n_modes)."""
+    measurement, _ = required(specimen)
+    model = reduced_model(specimen, search_parameters(specimen), measurement.size)
+    grid = angle_grid(specimen.angle_grid_deg)
+    fits = (AngleSearchProblem(specimen, model, one, grid) for one in lists)
+    swarms = [run_swarm(fit, seed, swarm) for fit, seed in zip(fits, seeds, strict=True)]
+    return np.array([grid[s.sequence] for s in swarms]), np.array([s.best for s in swarms])
+
+
+def searched_without_noise(name: str, seeds: Sequence[int], swarm: SwarmSettings) -> Results:
+    """Angles that fuzzy swarms end at on the measured list, which differ in their seeds alone."""
+    specimen = builtin(name, sequence=True)
+    measurement, _ = required(specimen)
+    lists = np.repeat(measurement.frequencies[None], len(seeds), axis=0)
+    return {"angles_deg": _ended(specimen, lists, seeds, swarm)[0].tolist()}
+
+
 def searched(name: str, table: int, seed: int, groups: int, swarm: SwarmSettings) -> Results:
     """Angles and constants together by one fuzzy swarm on each perturbed list, as the paper did."""
     specimen = builtin(name, sequence=True)
     measurement, unknowns = required(specimen)
-    model = reduced_model(specimen, search_parameters(specimen), measurement.size)
-    grid = angle_grid(specimen.angle_grid_deg)
     width = unknowns.upper - unknowns.lower
-
-    def ended(measured: Array, seeds: Sequence[Sequence[int]]) -> tuple[Array, Array]:
-        """Angles (n, k) and constants (n, m) of the swarms on lists (n, n_modes)."""
-        fits = (AngleSearchProblem(specimen, model, one, grid) for one in measured)
-        swarms = [run_swarm(fit, seed, swarm) for fit, seed in zip(fits, seeds, strict=True)]
-        return np.array([grid[s.sequence] for s in swarms]), np.array([s.best for s in swarms])
-
-    f = measurement.frequencies
-    _, (free,) = ended(f[None], [(seed, 0, 0)])
     levels = []
     for level, _ in _levels(table):
-        lists, _ = _perturbed(f, level, seed, groups)
-        angles, constants = ended(lists, [(seed, int(level), i + 1) for i in range(groups)])
+        lists, _ = _perturbed(measurement.frequencies, level, seed, groups)
+        seeds = [(seed, int(level), i + 1) for i in range(groups)]
+        angles, constants = _ended(specimen, lists, seeds, swarm)
         from_bound = np.minimum(constants - unknowns.lower, unknowns.upper - constants)
         on_bound = np.mean(from_bound <= _ON_BOUND * width, axis=0)
         mean, sd = constants.mean(axis=0), constants.std(axis=0, ddof=1)
@@ -112,13 +122,7 @@ def searched(name: str, table: int, seed: int, groups: int, swarm: SwarmSettings
                 },
             }
         )
-    return {
-        "groups": groups,
-        "without_noise": {
-            user_name(n): to_user(n, float(v)) for n, v in zip(unknowns.names, free, strict=True)
-        },
-        "levels": levels,
-    }
+    return {"groups": groups, "levels": levels}
 
 
 def weighed(name: str, table: int, seed: int) -> Results:

@@ -19,6 +19,7 @@ from cpam_bayes.questions.paper.rows import (
     INPUT,
     NOT_COMPUTED,
     NOT_REPRODUCIBLE,
+    UNDETERMINED,
     UNTOLD,
     VERDICTS,
     WITHIN,
@@ -213,12 +214,21 @@ def _probability_of(which: str, row: Record) -> str | None:
     return None if found is None else f"{found:.1g}"
 
 
+def _chances(row: Record) -> str:
+    """Shares of uniform angles that are as near the print as the inversions, and as close together, %."""
+    shares = (100.0 * row["details"][key] for key in ("chance_near", "chance_close"))
+    return ", ".join(f"{share:.0f}" if share >= 1.0 else "< 1" for share in shares)
+
+
 _NOISY_ANGLES: Final = (
     _of("specimen", "plate"),
     _of("source", "noise"),
     _of("printed_text", "printed means of ten"),
     _shown("inversions there", lambda row: f"{row['details']['found']:.0f} of 10", number=True),
     _shown("spread by ply, degrees", partial(_by_ply, "spread_", ".0f")),
+    _shown("of uniform angles", partial(_by_ply, "chance_spread_", ".0f")),
+    _shown("uniform ones as near, as close, %", _chances),
+    _of("verdict_kind", "verdict"),
     _shown("probability of the true layup", partial(_probability_of, "true"), number=True),
     _shown("of the printed one", partial(_probability_of, "printed"), number=True),
     _shown("bits by ply", partial(_by_ply, "bits_", ".2f")),
@@ -353,8 +363,9 @@ def _headline(document: Record) -> str:
     within = f", {counts[WITHIN]} lie within the 95 % interval or set" if counts[WITHIN] else ""
     missing = f", {counts[NOT_COMPUTED]} were not computed" if counts[NOT_COMPUTED] else ""
     untold = f", {counts[UNTOLD]} cannot be told apart" if counts[UNTOLD] else ""
+    unknown = f", {counts[UNDETERMINED]} are not determined" if counts[UNDETERMINED] else ""
     return (
-        f"{counts[AGREES]} of {computed} printed values of {of} agree{within}{untold}, "
+        f"{counts[AGREES]} of {computed} printed values of {of} agree{within}{untold}{unknown}, "
         f"{counts[NOT_REPRODUCIBLE]} are not reproducible{missing}."
     )
 
@@ -395,7 +406,8 @@ def _lines(document: Record) -> Iterator[str]:
         "mean of ten to two standard errors of the difference of two such means and to 5 %. *Cannot be told "
         "apart*: within the standard errors, but more than 5 % apart. *Within the posterior*: in the 95 % "
         "interval, or the 95 % set of stacking sequences. Where half of the ten inversions or more sit on a "
-        "bound there is no standard error. Inputs and references are not counted.",
+        "bound there is no standard error. *Not determined*: there is neither a standard error nor an "
+        "interval, or the angles found show no preference. Inputs and references are not counted.",
         "",
     )
     counts = tuple(column for column in _TABLES if column.key != "title" and column.heading != INPUT)

@@ -23,10 +23,16 @@ from cpam_bayes.printed.tables import (
 BUILT_IN, TWO, FOUR = "as built in", "two constants", "four constants"
 """Choices of unknowns: those of the built-in specimen, or two or four constants of an aluminium plate."""
 Verdict = Literal[
-    "agrees", "within the posterior", "cannot be told apart", "not reproducible", "not computed", "input"
+    "agrees",
+    "within the posterior",
+    "cannot be told apart",
+    "not determined",
+    "not reproducible",
+    "not computed",
+    "input",
 ]
 VERDICTS: Final[tuple[Verdict, ...]] = get_args(Verdict)
-AGREES, WITHIN, UNTOLD, NOT_REPRODUCIBLE, NOT_COMPUTED, INPUT = VERDICTS
+AGREES, WITHIN, UNTOLD, UNDETERMINED, NOT_REPRODUCIBLE, NOT_COMPUTED, INPUT = VERDICTS
 Results = dict[str, Any]
 """Plain data of one finished computation."""
 Computed = Mapping[tuple[str, str, str], Results]

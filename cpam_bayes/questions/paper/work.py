@@ -35,7 +35,13 @@ from cpam_bayes.questions.diagnose import diagnose
 from cpam_bayes.questions.forward import forward
 from cpam_bayes.questions.identify.emcee import SampledResult, sample
 from cpam_bayes.questions.identify.pso import PointResult, identify
-from cpam_bayes.questions.paper.layups import bounds_alone, layup_case, searched, weighed
+from cpam_bayes.questions.paper.layups import (
+    bounds_alone,
+    layup_case,
+    searched,
+    searched_without_noise,
+    weighed,
+)
 from cpam_bayes.questions.paper.rows import FOUR, TWO, Results, SimulationError
 from cpam_bayes.questions.sensitivity import sensitivity
 from cpam_bayes.questions.sequence import sequence
@@ -463,7 +469,10 @@ def write(directory: Path, effort: Effort, task: Task, results: Results) -> None
 
 @cache
 def packaged(name: str) -> Mapping[str, Any]:
-    """Packaged results with version and date: "calculix", "diagnoses", "sequences", "tasks" by title."""
+    """Packaged results with version and date: "calculix", "diagnoses", "sequences", "swarms", "tasks".
+
+    Tasks are there by title.
+    """
     resource = files("cpam_bayes") / "data" / "paper" / "computed" / f"{name}.json"
     computed: Mapping[str, Any] = json.loads(resource.read_text(encoding="utf-8"))
     return computed
@@ -507,4 +516,16 @@ def sequence_cases(seed: int, executor: str, workers: int | None, watch: Watch) 
         )
         for name in identified_layups()
     }
+    return stamp({"seconds": time.perf_counter() - start, "cases": cases})
+
+
+# Fuzzy swarms on each measured list, of different seeds.
+_FREE_SWARMS: Final = 20
+
+
+def swarms_without_noise(effort: Effort, names: Sequence[str]) -> dict[str, Any]:
+    """Angles that fuzzy swarms end at on the measured lists of some plates."""
+    start = time.perf_counter()
+    seeds = range(_FREE_SWARMS)
+    cases = {name: searched_without_noise(name, seeds, effort.swarm) for name in names}
     return stamp({"seconds": time.perf_counter() - start, "cases": cases})

@@ -60,7 +60,8 @@ def aluminium() -> tuple[PaperResult, Path]:
 
 
 def test_every_table_has_rows_for_all_its_printed_values() -> None:
-    empty = {n: list(module._rows(n, {}, packaged("calculix"), packaged("sequences"))) for n in NUMBERS}
+    stored = {name: packaged(name) for name in ("calculix", "sequences", "swarms")}
+    empty = {n: list(module._rows(n, {}, stored)) for n in NUMBERS}
     assert all(empty[n] for n in (2, 3, 4, 9))
     assert {n for n in NUMBERS if not tasks_of(n, 0)} == {2, 3, 4}
 
@@ -190,7 +191,7 @@ def test_four_constants_of_aluminium_are_searched_beyond_the_bounds_of_eq_8() ->
     ]
 
 
-@pytest.mark.parametrize("name", ["calculix", "diagnoses", "sequences"])
+@pytest.mark.parametrize("name", ["calculix", "diagnoses", "sequences", "swarms"])
 def test_what_comes_with_the_package_is_what_its_study_found(name: str) -> None:
     spec = importlib.util.spec_from_file_location("paper_study", PROJECT / "studies" / "19_paper.py")
     study = importlib.util.module_from_spec(spec)
@@ -255,6 +256,14 @@ def test_the_page_begins_with_what_is_wrong_with_the_plates_that_no_constants_ex
     assert "thickness deviation +83.1 +- 5.4 % or density deviation" in said["C3"]
     assert "nothing is claimed" in said["D1"]
     assert {name for name, line in said.items() if "Size: " in line} == {"C3", "C4"}
+
+
+def test_what_eq_12_must_mean_stands_in_the_audit_and_beside_the_noise(document: dict[str, Any]) -> None:
+    audit = document["audit"]
+    (note,) = (note for note in audit["misprints"] if "Eq. (12)" in note)
+    assert "1/frequency" in note
+    assert "1/frequency" in audit["means_of_ten"]
+    assert note in page(document)
 
 
 def test_a_changed_number_changes_the_page(document: dict[str, Any]) -> None:

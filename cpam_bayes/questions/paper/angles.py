@@ -1,0 +1,337 @@
+"""Angles of Tables 11 to 14: printed means of ten beside ours, and beside those of uniform angles.
+
+Inversions that end anywhere scatter too, and of all images of a layup with the same frequencies the one
+nearest the print is compared. So each number stands beside that of angles under no preference, drawn
+uniformly and compared by the same code.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cpam_bayes.plate import angle_grid, builtin
+from cpam_bayes.questions.paper.rows import (
+    AGREES,
+    NOT_REPRODUCIBLE,
+    UNDETERMINED,
+    UNTOLD,
+    Judged,
+    Row,
+)
+from cpam_bayes.stacking.symmetry import ANGLE_MOTIONS, plane_motions
+
+Array = NDArray[Any]
+
+PRINTED_GROUPS: Final = 10
+"""Perturbed lists behind each printed mean."""
+STANDARD_ERRORS: Final = 2.0
+"""Means agree up to so many standard errors of their difference."""
+
+# The paper's grid of angles, degrees.
+_GRID_DEG: Final = 5.0
+# Draws of ten uniform angles a ply, and the share of them up to which a result is not chance.
+_DRAWS: Final = 2000
+_CHANCE: Final = 0.05
+# Standard deviations that a one-sided normal distribution exceeds with this chance.
+_BEYOND_CHANCE: Final = 1.645
+
+
+def motions_of(specimen: str) -> tuple[str, ...]:
+    """The motions of a plate that keep its frequencies and change its angles, "" (none) the first."""
+    return plane_motions(builtin(specimen, sequence=True))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ends:
+    """Angles that inversions ended at, from the printed ones, on the image nearest to these.
+
+    away_deg : (..., groups, plies), within -90 (excluded) to 90 degrees
+    """
+
+    away_deg: Array
+
+    @classmethod
+    def of(cls, angles_deg: Array, printed: Sequence[int], motions: Sequence[str]) -> Ends:
+        """From angles (..., groups, plies); the nearest image has the least sum of differences."""
+        images = np.stack([_wrapped(ANGLE_MOTIONS[kind](angles_deg) - np.array(printed)) for kind in motions])
+        nearest = np.abs(images).sum(axis=-1).argmin(axis=0)
+        return cls(np.take_along_axis(images, nearest[None, ..., None], axis=0)[0])
+
+    @property
+    def mean_deg(self) -> Array:
+        """Mean of each ply, from the printed angle, (..., plies)."""
+        return np.asarray(self.away_deg.mean(axis=-2))
+
+    @property
+    def distance_deg(self) -> Array:
+        """Mean difference from the printed angles over inversions and plies, (...,)."""
+        return np.asarray(np.abs(self.away_deg).mean(axis=(-2, -1)))
+
+    @property
+    def is_within_error(self) -> NDArray[np.bool_]:
+        """Whether the mean of every ply is within the standard errors of the printed one, (...,)."""
+        groups = self.away_deg.shape[-2]
+        error = self.spread_deg * math.sqrt(1.0 / groups + 1.0 / PRINTED_GROUPS)
+        return np.asarray(np.all(np.abs(self.mean_deg) <= STANDARD_ERRORS * error, axis=-1))
+
+    @property
+    def spread_deg(self) -> Array:
+        """Circular standard deviation of each ply, whose angle repeats after 180 degrees, (..., plies)."""
+        length = np.abs(np.exp(2j * np.radians(self.away_deg)).mean(axis=-2))
+        # angles that cancel out have no finite one: the length is at least 1 / n
+        least = 1.0 / self.away_deg.shape[-2]
+        return np.asarray(0.5 * np.degrees(np.sqrt(-2.0 * np.log(np.clip(length, least, 1.0)))))
+
+
+@cache
+def no_preference(
+    printed: tuple[int, ...], motions: tuple[str, ...], groups: int, stream: tuple[int, int]
+) -> Ends:
+    """Ends of inversions that prefer no angle, (draws, groups, plies): uniform on the paper's grid, seeded.
+
+    stream : table and level, so that draws of one do not depend on those of another
+    """
+    rng = np.random.default_rng(stream)
+    drawn = rng.choice(angle_grid(_GRID_DEG), (_DRAWS, groups, len(printed)))
+    return Ends.of(drawn, printed, motions)
+
+
+@dataclass(frozen=True, slots=True)
+class NoisyAngles:
+    """Angles that inversions of perturbed lists ended at, beside a printed mean of ten.
+
+    printed, means_deg : mean angle of each unknown ply, the outermost first; ours on the images nearest the
+        printed one
+    spread_deg : circular standard deviation of each angle
+    within_error : whether every mean is within the standard errors of the printed one
+    found : inversions that ended at the printed sequence, or at an image of it
+    distinct : sequences among their ends, images counted once
+    chance_near, chance_close : share of uniform angles that are as near the printed ones as ours, and that
+        are as close together
+    chance_within : share of uniform angles that show a preference and are within the standard errors
+    chance_spread_deg : spread of uniform angles by ply
+    chance_more_deg, chance_more_sd_deg : spread of the innermost ply less that of the outermost, of uniform
+        angles
+    """
+
+    printed: tuple[int, ...]
+    means_deg: tuple[float, ...]
+    spread_deg: tuple[float, ...]
+    within_error: bool
+    found: int
+    distinct: int
+    groups: int
+    chance_near: float
+    chance_close: float
+    chance_within: float
+    chance_spread_deg: tuple[float, ...]
+    chance_more_deg: float
+    chance_more_sd_deg: float
+
+    @classmethod
+    def of(
+        cls, table: int, printed: Sequence[int], level: Mapping[str, Any], motions: tuple[str, ...]
+    ) -> NoisyAngles:
+        """From the angles of the inversions at a level of noise."""
+        goal = tuple(int(angle) for angle in printed)
+        ends = Ends.of(np.array(level["angles_deg"], dtype=float), goal, motions)
+        away = ends.away_deg
+        uniform = no_preference(goal, motions, len(away), (table, round(level["level_percent"])))
+        spread, distance = uniform.spread_deg, uniform.distance_deg
+        together = spread.mean(axis=-1)
+        prefer = (distance <= np.quantile(distance, _CHANCE)) | (together <= np.quantile(together, _CHANCE))
+        more = spread[:, -1] - spread[:, 0]
+        return cls(
+            printed=goal,
+            means_deg=tuple(float(m) for m in _wrapped(np.array(goal) + ends.mean_deg)),
+            spread_deg=tuple(float(d) for d in ends.spread_deg),
+            within_error=bool(ends.is_within_error),
+            found=int(np.sum(np.all(away == 0.0, axis=1))),
+            distinct=len(np.unique(away, axis=0)),
+            groups=len(away),
+            chance_near=float(np.mean(distance <= ends.distance_deg)),
+            chance_close=float(np.mean(together <= ends.spread_deg.mean())),
+            chance_within=float(np.mean(prefer & uniform.is_within_error)),
+            chance_spread_deg=tuple(float(d) for d in spread.mean(axis=0)),
+            chance_more_deg=float(more.mean()),
+            chance_more_sd_deg=float(more.std()),
+        )
+
+    @property
+    def verdict(self) -> Judged:
+        """None on inversions that are neither nearer the print nor closer together than uniform angles.
+
+        Agrees where each mean is nearest to the printed angle on the grid; told apart by its error.
+        """
+        said = (
+            f"{self.found} of {self.groups} inversions end there, at {self.distinct} sequences in all; of "
+            f"uniform angles {100.0 * self.chance_near:.2g} % are as near the print, "
+            f"{100.0 * self.chance_close:.2g} % as close together"
+        )
+        if min(self.chance_near, self.chance_close) > _CHANCE:
+            return UNDETERMINED, said
+        if np.all(np.abs(_wrapped(np.subtract(self.means_deg, self.printed))) <= _GRID_DEG / 2.0):
+            return AGREES, said
+        return (UNTOLD if self.within_error else NOT_REPRODUCIBLE), said
+
+    @property
+    def details(self) -> dict[str, float | None]:
+        """For the row."""
+        spread = {f"spread_{i}_deg": d for i, d in enumerate(self.spread_deg, 1)}
+        of_chance = {f"chance_spread_{i}_deg": d for i, d in enumerate(self.chance_spread_deg, 1)}
+        return {
+            "found": float(self.found),
+            "distinct": float(self.distinct),
+            **spread,
+            "chance_near": self.chance_near,
+            "chance_close": self.chance_close,
+            "chance_within": self.chance_within,
+            "on_grid": float(all(angle % _GRID_DEG == 0.0 for angle in self.printed)),
+            **of_chance,
+            "chance_more_deg": self.chance_more_deg,
+            "chance_more_sd_deg": self.chance_more_sd_deg,
+        }
+
+
+def free_ends(
+    printed: Sequence[int], stored: Mapping[str, Any], motions: tuple[str, ...]
+) -> dict[str, float | None]:
+    """For the row without noise: swarms on the measured list, how many end at the print, spread by ply."""
+    ends = Ends.of(np.array(stored["angles_deg"], dtype=float), printed, motions)
+    return {
+        "swarms": float(len(ends.away_deg)),
+        "swarms_found": float(np.sum(np.all(ends.away_deg == 0.0, axis=1))),
+        **{f"free_spread_{i}_deg": float(d) for i, d in enumerate(ends.spread_deg, 1)},
+    }
+
+
+def told(weighed: Mapping[str, Any]) -> dict[str, float]:
+    """What one list at a level tells of the angles: probabilities, and bits of each, the outermost first."""
+    kept = ("true_probability", "printed_probability", "most_bits", "credible_95_count")
+    bits = {f"bits_{i}": b for i, b in enumerate(weighed["bits"], 1)}
+    return {**{key: float(weighed[key]) for key in kept}, **bits}
+
+
+def noisy_angles(rows: Sequence[Row]) -> str:
+    """The worth of the means of angles of Tables 11 to 14, in words; "" where none was computed."""
+    of_angles = [row for row in rows if "spread_1_deg" in row.details]
+    if not of_angles:
+        return ""
+    found = sum(int(row.details["found"] or 0) for row in of_angles)
+    on_grid = sum(row.details["on_grid"] == 1.0 for row in of_angles)
+    within = sum(row.verdict in (AGREES, UNTOLD) for row in of_angles)
+    by_chance = sum(row.details["chance_within"] or 0.0 for row in of_angles)
+    undetermined = [row for row in of_angles if row.verdict == UNDETERMINED]
+    said = (
+        "Angles and constants sought together by one fuzzy swarm, as the paper did, on ten perturbed lists "
+        f"a level: {found} of {PRINTED_GROUPS * len(of_angles)} inversions end at the printed angles, or at "
+        "an image of them with the same frequencies. "
+        f"At {len(undetermined)} of {len(of_angles)} levels the ends are neither nearer the print nor "
+        f"closer together than uniform angles (more than {100.0 * _CHANCE:.0f} % of {_DRAWS} draws are as "
+        "near, and as close): nothing can be said of these means. The printed means agree with ours or "
+        f"cannot be told apart at {within} levels, with uniform angles at {by_chance:.1f} on average. At "
+        f"{on_grid} all printed means are multiples of {_GRID_DEG:g} degrees; of means of ten angles on that "
+        "grid one in ten is."
+    )
+    parts = (said, _scatter(of_angles), _without_noise(rows), _weighed_angles(rows), _inner_plies(of_angles))
+    return " ".join(filter(None, parts))
+
+
+def _scatter(rows: Sequence[Row]) -> str:
+    outer, inner = _outer_and_inner(rows, "spread_")
+    uniform_outer, uniform_inner = _outer_and_inner(rows, "chance_spread_")
+    more, uniform, sd = _inner_scatters_more(rows)
+    return (
+        f"The angle of the outermost unknown ply scatters by {outer:.0f} degrees on average, that of the "
+        f"innermost by {inner:.0f}; uniform angles by {uniform_outer:.0f} and {uniform_inner:.0f}, because "
+        f"the image nearest the print is taken. So the innermost scatters {more:.1f} degrees more, and under "
+        f"no preference {uniform:.1f} +- {sd:.1f}."
+    )
+
+
+def _without_noise(rows: Sequence[Row]) -> str:
+    """What swarms on the measured lists alone scatter by; "" where none were run."""
+    free = [row for row in rows if "free_spread_1_deg" in row.details]
+    if not free:
+        return ""
+    outer, inner = _outer_and_inner(free, "free_spread_")
+    swarms, found = (int(sum(row.details[key] or 0.0 for row in free)) for key in ("swarms", "swarms_found"))
+    noisy = _outer_and_inner([row for row in rows if "spread_1_deg" in row.details], "spread_")
+    own = all(2.0 * alone**2 > noise**2 for alone, noise in zip((outer, inner), noisy, strict=True))
+    whose = "; most of the scatter is the swarm's own" if own else ""
+    return (
+        f"Without noise {swarms} swarms on the measured lists, of which {found} end there, scatter by "
+        f"{outer:.0f} and {inner:.0f}{whose}."
+    )
+
+
+def _inner_scatters_more(rows: Sequence[Row]) -> tuple[float, float, float]:
+    """Spread of the innermost ply less the outermost's, on average; of uniform angles, and its sd."""
+    outer, inner = _outer_and_inner(rows, "spread_")
+    uniform = float(np.mean([row.details["chance_more_deg"] for row in rows]))
+    sd = math.sqrt(sum((row.details["chance_more_sd_deg"] or 0.0) ** 2 for row in rows)) / len(rows)
+    return inner - outer, uniform, sd
+
+
+def _outer_and_inner(rows: Sequence[Row], key: str) -> tuple[float, float]:
+    """Means over the rows of a number of the outermost and of the innermost unknown ply."""
+    plies = [[v or 0.0 for k, v in row.details.items() if k.startswith(key)] for row in rows]
+    outer, inner = (float(np.mean([of_row[i] for of_row in plies])) for i in (0, -1))
+    return outer, inner
+
+
+def _weighed_angles(rows: Sequence[Row]) -> str:
+    """What one list a level tells of the angles when all layups are weighed; "" where none were."""
+    weighed = [row for row in rows if "bits_1" in row.details]
+    if not weighed:
+        return ""
+    outer, inner = _outer_and_inner(weighed, "bits_")
+    true = max(row.details["true_probability"] or 0.0 for row in weighed)
+    return (
+        f"All layups weighed by the first list of each level, its noise stated: it tells {outer:.2f} bits of "
+        f"the outermost angle and {inner:.2f} of the innermost, of {weighed[0].details['most_bits']:.2f} "
+        f"({len(weighed)} lists; less of the innermost in {_less_of_the_innermost(weighed)}). The true layup "
+        f"has a probability of {true:.2g} at most."
+    )
+
+
+def _less_of_the_innermost(weighed: Sequence[Row]) -> int:
+    pairs = (_outer_and_inner([row], "bits_") for row in weighed)
+    return sum(inner < outer for outer, inner in pairs)
+
+
+def _inner_plies(rows: Sequence[Row]) -> str:
+    """Whether the paper's sentence on inner plies is shown, each way against chance."""
+    more, uniform, sd = _inner_scatters_more(rows)
+    weighed = [row for row in rows if "bits_1" in row.details]
+    by_bits = bool(weighed) and _chance_of(_less_of_the_innermost(weighed), len(weighed)) <= _CHANCE
+    shown = _SHOWN[by_bits, more > uniform + _BEYOND_CHANCE * sd]
+    return (
+        f"That inner plies are more sensitive to noise than outer ones, as the paper says, is shown {shown}."
+    )
+
+
+def _chance_of(less: int, of: int) -> float:
+    """The chance of so many lists or more where either is as likely (sign test)."""
+    return sum(math.comb(of, k) for k in range(less, of + 1)) / 2.0**of
+
+
+# By whether less is told of the innermost angle, and whether it scatters more, beyond chance.
+_SHOWN: Final = {
+    (True, True): "by the bits and by the scatter of the inversions",
+    (True, False): "by the bits, not by the scatter of the inversions",
+    (False, True): "by the scatter of the inversions, not by the bits",
+    (False, False): "neither by the bits nor by the scatter of the inversions",
+}
+
+
+def _wrapped(angles_deg: Any) -> Any:
+    """Within -90 (excluded) to 90 degrees: a fibre has no head."""
+    return 90.0 - np.mod(90.0 - angles_deg, 180.0)
