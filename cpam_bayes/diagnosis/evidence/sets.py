@@ -7,8 +7,9 @@ errors lead these optima astray: pairs are ranked about the prior medians too, a
 them, about the constants of the best pair, until no better one turns up. An error of a list may show only
 once a cause of the plate is there: where no two causes explain the lists, the leading causes of the plates
 are fitted together with every error of the lists, all of these at once. A further cause that does not show is
-not fitted. What the closed form gives the sets that show and were not fitted is unaccounted for, and the
-search goes on while that is more than a hundredth.
+not fitted. What the closed form gives the sets that show and were not fitted is unaccounted for, by the
+ranking about the most probable of the points where a set was ranked: about one that the lists are far from it
+is no estimate. The search goes on while that is more than a hundredth.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ from cpam_bayes.diagnosis.hypotheses import (
     SET,
     Hypothesis,
     go_together,
+    name_of,
     repeated,
     set_scales,
     together,
@@ -101,16 +103,18 @@ class _Point:
 
     cases : the plates with the pairing there; none where all lists are complete
     leader : that cause, ``None`` for the plain model
+    log_weight : log of prior times evidence of what has its optimum there; -inf where nothing has
     """
 
     marginal: Marginal
     cases: Cases
     leader: Tested | None = None
+    log_weight: float = -np.inf
 
     @classmethod
     def of(cls, leader: Tested) -> _Point:
         """The optimum of a leading cause."""
-        return cls(leader.marginal, leader.cases, leader)
+        return cls(leader.marginal, leader.cases, leader, leader.log_weight)
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,19 +222,20 @@ class _SetSearch:
     causes : every variant of every cause, the most probable first
     scales : by number of causes, prior of a set over the product of those of its causes
     fitted : keys of the sets that were fitted
-    scored : log of prior times evidence in closed form, of sets that were ranked
+    scored : log weight of the most probable point about which a set was ranked, and log of prior times
+        evidence in closed form there, -inf where the set does not show
     """
 
     scan: Scan
     causes: tuple[Tested, ...]
     scales: Mapping[int, float]
     fitted: set[_Key] = field(default_factory=set)
-    scored: dict[_Key, float] = field(default_factory=dict)
+    scored: dict[_Key, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def unaccounted(self) -> float:
         """Probability of the sets that were ranked and not fitted."""
-        left = [w for key, w in self.scored.items() if key not in self.fitted]
+        left = [score for key, (_, score) in self.scored.items() if key not in self.fitted]
         if not left:
             return 0.0
         odds = logsumexp(left) - logsumexp([t.log_weight for t in self.scan.tested])
@@ -244,7 +249,8 @@ class _SetSearch:
     @property
     def plain(self) -> _Point:
         """The plain model's optimum."""
-        return _Point(self.scan.none, self.scan.tested[0].cases)
+        plain = self.scan.tested[0]
+        return _Point(plain.marginal, plain.cases, log_weight=plain.log_weight)
 
     @property
     def medians(self) -> list[_Point]:
@@ -254,13 +260,14 @@ class _SetSearch:
         inside, _, _ = none.comparison.predict_inside(none.comparison.scores.to_x(medians))
         return [_Point(replace(none, z=medians), self.plain.cases)] if len(inside) else []
 
-    def about(self, pair: Tested) -> _Point:
-        """The constants of a pair, without what it does."""
+    def about(self, tested: Tested) -> _Point:
+        """The constants of a cause or a set, without what it does."""
         scan, comparison = self.scan, self.scan.none.comparison
-        if pair.cases:
-            comparison = comparison_of(pair.cases, scan.tested[0].hypothesis, scatter=scan.scatter)
-        constants = comparison.carried(pair.marginal.comparison, pair.marginal.z[:1])
-        return _Point(replace(scan.none, comparison=comparison, z=constants), pair.cases)
+        if tested.cases:
+            comparison = comparison_of(tested.cases, scan.tested[0].hypothesis, scatter=scan.scatter)
+        constants = comparison.carried(tested.marginal.comparison, tested.marginal.z[:1])
+        there = replace(scan.none, comparison=comparison, z=constants)
+        return _Point(there, tested.cases, log_weight=tested.log_weight)
 
     def leaders(self) -> list[Tested]:
         """The best variants of the leading causes."""
@@ -278,6 +285,8 @@ class _SetSearch:
         seen: set[_Key] = set()
         for _ in range(SETS.rounds):
             order = [t for t in ranked(self.scan.tested) if t.hypothesis.cause not in (NONE, OTHER)]
+            if not self.scan.is_explained and order[0].key not in seen:
+                self.fit([self.about(order[0])], SETS.fitted_further, SETS.promising)
             near = [t for t in order if t.log_weight > order[0].log_weight - SETS.near and t.key not in seen]
             new = list({t.key: t for t in reversed(near[: SETS.grown])}.values())[::-1]
             if not new:
@@ -318,8 +327,10 @@ class _SetSearch:
         scan, trials = self.scan, []
         least = scan.best - promising
         for point in points:
-            candidates = self._ranked(point)
-            self.scored |= {c.key: c.log_weight for c in candidates}
+            candidates, hidden = self._ranked(point)
+            scores = dict.fromkeys(hidden, -np.inf) | {c.key: c.log_weight for c in candidates}
+            for key, score in scores.items():
+                self.scored[key] = max(self.scored.get(key, (-np.inf, -np.inf)), (point.log_weight, score))
             for candidate in candidates[:most]:
                 if candidate.log_weight > least and candidate.key not in self.fitted:
                     self.fitted.add(candidate.key)
@@ -372,15 +383,20 @@ class _SetSearch:
         pairs = (together(couple, self.scales) for couple in couples if go_together(*couple))
         return tuple(pair for pair in pairs if (pair.cause, pair.variant, plates) not in self.fitted)
 
-    def _ranked(self, point: _Point) -> list[_Candidate]:
-        """The sets that add a cause to the point, or two, the best variants of each, the best set first."""
+    def _ranked(self, point: _Point) -> tuple[list[_Candidate], set[_Key]]:
+        """The sets that add a cause to the point, or two, the best variants of each, the best set first.
+
+        And the keys of those that do not show.
+        """
         linear = _linear(point.marginal)
         alone = logsumexp([own.log_constant - 0.5 * own.residual @ own.residual for own in linear])
         best: dict[_Key, _Candidate] = {}
+        hidden: set[_Key] = set()
         for a, b in self._couples(point):
             log_density, best_nodes = _together(linear, a, b)
             log_evidence = point.marginal.log_evidence + log_density - float(alone)
             if log_evidence < max(s.cause.marginal.log_evidence for s in (a, b)) + SETS.shown:
+                hidden.add((*name_of(a.cause.hypothesis, b.cause.hypothesis), a.cause.plates))
                 continue
             both = together((a.cause.hypothesis, b.cause.hypothesis), self.scales)
             starts = []
@@ -401,7 +417,7 @@ class _SetSearch:
             )
             if candidate.key not in best or candidate.log_weight > best[candidate.key].log_weight:
                 best[candidate.key] = candidate
-        return sorted(best.values(), key=lambda c: -c.log_weight)
+        return sorted(best.values(), key=lambda c: -c.log_weight), hidden - best.keys()
 
     def _couples(self, point: _Point) -> Iterator[tuple[_Shifts, _Shifts]]:
         """Two causes that can act at once, the leader of a point one of them."""
