@@ -578,6 +578,10 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     ),
     "list_over_noise": _list_over_noise,
     "rough_evidences": "Log evidences are known only to {error:two digits}: probabilities are rough.",
+    "unweighed_sets": (
+        "Causes that may act at once and were not weighed together have a probability of about "
+        "{probability:two digits}: nothing is claimed that they could overturn."
+    ),
     "rough_surrogate": (
         "The log evidence of the surrogate is {rms:.2f} off (rms): the size of the credible set and the "
         "marginals are rough. The listed sequences are computed without it."

@@ -75,6 +75,7 @@ FACTS: dict[str, dict[str, object]] = {
     },
     "differing_priors": {"names": ("E1",), "taken": "a"},
     "rough_evidences": {"error": 0.4},
+    "unweighed_sets": {"probability": 0.3},
     "rough_surrogate": {"rms": 0.4},
     "overlooked_sequence": {"better": 1.2},
     "sequences_left_out": {"probability": 0.01},
