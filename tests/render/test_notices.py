@@ -39,6 +39,12 @@ FACTS: dict[str, dict[str, object]] = {
     "few_frequencies": {"frequencies": 1, "unknowns": 2},
     "no_frequency_over": {"count": 2},
     "large_stated_noise": {"noise": 0.2},
+    "thicknesses_apart": {
+        "gauged": (3.1e-3, 2e-5),
+        "by_mass": (3.26e-3, 3.4e-5),
+        "apart": 4.1,
+        "taken": (3.14e-3, 7e-5),
+    },
     "equal_lists": {"plates": ("a", "b"), "apart": 0.0},
     "list_given_twice": {"name": "b.csv", "before": "a.csv"},
     "axes_exchange": {"square": True},

@@ -389,12 +389,15 @@ class _SetSearch:
         And the keys of those that do not show.
         """
         linear = _linear(point.marginal)
-        alone = logsumexp([own.log_constant - 0.5 * own.residual @ own.residual for own in linear])
+        known = point if point.leader is not None else self.plain
+        # about constants that are not the plain model's optimum its closed form says nothing of its evidence
+        at_optimum = linear if known is point else _linear(known.marginal)
+        alone = logsumexp([own.log_constant - 0.5 * own.residual @ own.residual for own in at_optimum])
         best: dict[_Key, _Candidate] = {}
         hidden: set[_Key] = set()
         for a, b in self._couples(point):
             log_density, best_nodes = _together(linear, a, b)
-            log_evidence = point.marginal.log_evidence + log_density - float(alone)
+            log_evidence = known.marginal.log_evidence + log_density - float(alone)
             if log_evidence < max(s.cause.marginal.log_evidence for s in (a, b)) + SETS.shown:
                 hidden.add((*name_of(a.cause.hypothesis, b.cause.hypothesis), a.cause.plates))
                 continue
