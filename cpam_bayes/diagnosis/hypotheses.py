@@ -219,24 +219,13 @@ def repeated(hypothesis: Hypothesis) -> Hypothesis:
     return replace(changed, effects=of_plate, unmodelled=unmodelled)
 
 
-def _parts_of(causes: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
-    return tuple(sorted((i for h in causes for i in h.instances), key=lambda h: (h.cause, h.variant)))
-
-
-def name_of(*causes: Hypothesis) -> tuple[str, str]:
-    """The name of causes that act at once, and their variants."""
-    parts = _parts_of(causes)
-    return _TOGETHER.join(h.cause for h in parts), " / ".join(h.variant for h in parts if h.variant)
-
-
 def together(causes: Sequence[Hypothesis], scales: Mapping[int, float]) -> Hypothesis:
     """Causes that act at once, the same in any order, with the prior of ``set_scales``."""
-    parts = _parts_of(causes)
-    cause, variant = name_of(*causes)
+    parts = tuple(sorted((i for h in causes for i in h.instances), key=lambda h: (h.cause, h.variant)))
     return Hypothesis(
-        cause=cause,
+        cause=_TOGETHER.join(h.cause for h in parts),
         family=SET,
-        variant=variant,
+        variant=" / ".join(h.variant for h in parts if h.variant),
         effects=tuple(e for h in parts for e in h.effects),
         listed=_both([h.listed for h in parts if h.listed != _NO_ERROR]),
         parameters=tuple(p for h in parts for p in h.parameters),

@@ -134,8 +134,8 @@ class Plate:
     edges : four of F (free), S (simply supported), C (clamped): x = 0, y = 0, x = length, y = width
     sd : standard deviations of what was measured, SI, by length, width, thickness, density, mass; 0: exact
     mesh : a mesh file to be used instead of the rectangle
-    thicknesses : as it was gauged and by mass and density, each with its standard deviation, m; None where the
-        file does not give all three
+    thicknesses : as it was gauged and by mass and density, each with its standard deviation, m; None where
+        the file does not give all three
     """
 
     length: float

@@ -129,8 +129,8 @@ def _thicknesses_apart(facts: Facts) -> str:
     gauged, by_mass, taken = (_in_mm(*facts[key]) for key in ("gauged", "by_mass", "taken"))
     return (
         f"Thickness, mass and density disagree: {gauged} as gauged, {by_mass} by mass over density, "
-        f"{facts['apart']:.1f} standard deviations apart. One of them, or a side, is wrong; {taken} is taken, "
-        "which allows for both."
+        f"{facts['apart']:.1f} standard deviations apart. One of them, or a side, is wrong: {taken} is "
+        "taken, which allows for both."
     )
 
 

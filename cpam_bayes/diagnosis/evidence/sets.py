@@ -7,9 +7,8 @@ errors lead these optima astray: pairs are ranked about the prior medians too, a
 them, about the constants of the best pair, until no better one turns up. An error of a list may show only
 once a cause of the plate is there: where no two causes explain the lists, the leading causes of the plates
 are fitted together with every error of the lists, all of these at once. A further cause that does not show is
-not fitted. What the closed form gives the sets that show and were not fitted is unaccounted for, by the
-ranking about the most probable of the points where a set was ranked: about one that the lists are far from it
-is no estimate. The search goes on while that is more than a hundredth.
+not fitted. What the closed form gives the sets that show and were not fitted, at most about any of these
+points, is unaccounted for, and the search goes on while that is more than a hundredth.
 """
 
 from __future__ import annotations
@@ -44,7 +43,6 @@ from cpam_bayes.diagnosis.hypotheses import (
     SET,
     Hypothesis,
     go_together,
-    name_of,
     repeated,
     set_scales,
     together,
@@ -103,18 +101,16 @@ class _Point:
 
     cases : the plates with the pairing there; none where all lists are complete
     leader : that cause, ``None`` for the plain model
-    log_weight : log of prior times evidence of what has its optimum there; -inf where nothing has
     """
 
     marginal: Marginal
     cases: Cases
     leader: Tested | None = None
-    log_weight: float = -np.inf
 
     @classmethod
     def of(cls, leader: Tested) -> _Point:
         """The optimum of a leading cause."""
-        return cls(leader.marginal, leader.cases, leader, leader.log_weight)
+        return cls(leader.marginal, leader.cases, leader)
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,20 +218,19 @@ class _SetSearch:
     causes : every variant of every cause, the most probable first
     scales : by number of causes, prior of a set over the product of those of its causes
     fitted : keys of the sets that were fitted
-    scored : log weight of the most probable point about which a set was ranked, and log of prior times
-        evidence in closed form there, -inf where the set does not show
+    scored : log of prior times evidence in closed form, of sets that were ranked, the largest of all points
     """
 
     scan: Scan
     causes: tuple[Tested, ...]
     scales: Mapping[int, float]
     fitted: set[_Key] = field(default_factory=set)
-    scored: dict[_Key, tuple[float, float]] = field(default_factory=dict)
+    scored: dict[_Key, float] = field(default_factory=dict)
 
     @property
     def unaccounted(self) -> float:
         """Probability of the sets that were ranked and not fitted."""
-        left = [score for key, (_, score) in self.scored.items() if key not in self.fitted]
+        left = [w for key, w in self.scored.items() if key not in self.fitted]
         if not left:
             return 0.0
         odds = logsumexp(left) - logsumexp([t.log_weight for t in self.scan.tested])
@@ -249,8 +244,7 @@ class _SetSearch:
     @property
     def plain(self) -> _Point:
         """The plain model's optimum."""
-        plain = self.scan.tested[0]
-        return _Point(plain.marginal, plain.cases, log_weight=plain.log_weight)
+        return _Point(self.scan.none, self.scan.tested[0].cases)
 
     @property
     def medians(self) -> list[_Point]:
@@ -266,8 +260,7 @@ class _SetSearch:
         if tested.cases:
             comparison = comparison_of(tested.cases, scan.tested[0].hypothesis, scatter=scan.scatter)
         constants = comparison.carried(tested.marginal.comparison, tested.marginal.z[:1])
-        there = replace(scan.none, comparison=comparison, z=constants)
-        return _Point(there, tested.cases, log_weight=tested.log_weight)
+        return _Point(replace(scan.none, comparison=comparison, z=constants), tested.cases)
 
     def leaders(self) -> list[Tested]:
         """The best variants of the leading causes."""
@@ -327,10 +320,8 @@ class _SetSearch:
         scan, trials = self.scan, []
         least = scan.best - promising
         for point in points:
-            candidates, hidden = self._ranked(point)
-            scores = dict.fromkeys(hidden, -np.inf) | {c.key: c.log_weight for c in candidates}
-            for key, score in scores.items():
-                self.scored[key] = max(self.scored.get(key, (-np.inf, -np.inf)), (point.log_weight, score))
+            candidates = self._ranked(point)
+            self.scored |= {c.key: max(c.log_weight, self.scored.get(c.key, -np.inf)) for c in candidates}
             for candidate in candidates[:most]:
                 if candidate.log_weight > least and candidate.key not in self.fitted:
                     self.fitted.add(candidate.key)
@@ -383,23 +374,18 @@ class _SetSearch:
         pairs = (together(couple, self.scales) for couple in couples if go_together(*couple))
         return tuple(pair for pair in pairs if (pair.cause, pair.variant, plates) not in self.fitted)
 
-    def _ranked(self, point: _Point) -> tuple[list[_Candidate], set[_Key]]:
-        """The sets that add a cause to the point, or two, the best variants of each, the best set first.
-
-        And the keys of those that do not show.
-        """
+    def _ranked(self, point: _Point) -> list[_Candidate]:
+        """The sets that add a cause to the point, or two, the best variants of each, the best set first."""
         linear = _linear(point.marginal)
         known = point if point.leader is not None else self.plain
-        # about constants that are not the plain model's optimum its closed form says nothing of its evidence
+        # the plain model's evidence is that of its closed form about its own optimum, and not elsewhere
         at_optimum = linear if known is point else _linear(known.marginal)
         alone = logsumexp([own.log_constant - 0.5 * own.residual @ own.residual for own in at_optimum])
         best: dict[_Key, _Candidate] = {}
-        hidden: set[_Key] = set()
         for a, b in self._couples(point):
             log_density, best_nodes = _together(linear, a, b)
             log_evidence = known.marginal.log_evidence + log_density - float(alone)
             if log_evidence < max(s.cause.marginal.log_evidence for s in (a, b)) + SETS.shown:
-                hidden.add((*name_of(a.cause.hypothesis, b.cause.hypothesis), a.cause.plates))
                 continue
             both = together((a.cause.hypothesis, b.cause.hypothesis), self.scales)
             starts = []
@@ -420,7 +406,7 @@ class _SetSearch:
             )
             if candidate.key not in best or candidate.log_weight > best[candidate.key].log_weight:
                 best[candidate.key] = candidate
-        return sorted(best.values(), key=lambda c: -c.log_weight), hidden - best.keys()
+        return sorted(best.values(), key=lambda c: -c.log_weight)
 
     def _couples(self, point: _Point) -> Iterator[tuple[_Shifts, _Shifts]]:
         """Two causes that can act at once, the leader of a point one of them."""

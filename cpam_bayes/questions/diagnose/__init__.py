@@ -181,7 +181,6 @@ def _slips(diagnosis: Diagnosis, specimens: Sequence[Specimen]) -> tuple[Notice,
     """Likely slips that ruin the diagnosis."""
     fit = diagnosis.extended or diagnosis.baseline
     unknowns = {name for specimen in specimens for name in specimen.unknowns.names}
-    measurements = [s.measurement for s in specimens if s.measurement is not None]
     return (
         *(slip for specimen in specimens for slip in stated_slips(specimen)),
         *equal_list_slips(specimens),
