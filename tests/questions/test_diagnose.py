@@ -1,6 +1,7 @@
 """What a diagnosis says, shows and writes, of lists whose truth is known."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -249,6 +250,14 @@ def test_sets_that_were_tested_are_no_family_and_gross_sizes_are_told(clean):
 
 
 # The first screen
+
+
+def test_no_evidence_is_told_with_the_probability_of_an_error(clean):
+    said = summary(clean).headline
+    found = re.match(r"No evidence of an error \(probability of one ([\d.]+), Bayes factor ([\d.]+)\)", said)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(1.0 - clean.weighed.by_cause()["none"], abs=0.006)
+    assert float(found[2]) == pytest.approx(clean.bayes_factor, rel=0.06)
 
 
 def with_causes(d, causes, claim):
