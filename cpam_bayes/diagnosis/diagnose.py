@@ -388,7 +388,13 @@ def claim_from(
 
     probability = weighed.by_cause()
     evidence = {name: weighed.log_bayes_factor((name,)) for name in probability}
-    return claim_of(probability, evidence, explained, is_cut_short=weighed.is_cut_short)
+    return claim_of(
+        probability,
+        evidence,
+        explained,
+        is_cut_short=weighed.is_cut_short,
+        unaccounted=weighed.unaccounted,
+    )
 
 
 def _members(weighed: Weighed, claim: Claim) -> tuple[tuple[Tested, float], ...]:

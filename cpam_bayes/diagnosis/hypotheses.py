@@ -339,6 +339,7 @@ def claim_of(
     explains: Callable[[str], bool] = lambda name: True,
     *,
     is_cut_short: bool = False,
+    unaccounted: float = 0.0,
 ) -> Claim:
     """The claim.
 
@@ -346,6 +347,7 @@ def claim_of(
     log_evidence : of each, its variants averaged over their priors
     explains : whether the model extended by a set explains the lists, or most of their misfit
     is_cut_short : whether hypotheses are missing: then nothing is claimed
+    unaccounted : probability of sets that were not weighed, none of which may hold what is claimed
 
     Nothing is wrong where none has half the probability. A cause acts with its inclusion probability, that of
     all sets that hold it. Causes that act with 0.9 each, in one set, are claimed together. Else the fewest
@@ -359,14 +361,15 @@ def claim_of(
         return _undecided(probability)
     if probability[NONE] >= CLAIM_RULES.plain and explains(NONE):
         return Claim("none", (), probability[NONE])
-    claim = _several(probability) or _causes(probability, log_evidence)
+    sure = CLAIM_RULES.sure / max(1.0 - unaccounted, 1e-9)
+    claim = _several(probability, sure) or _causes(probability, log_evidence, sure)
     if claim is not None and explains(_leading(probability, claim.causes)):
         return claim
     unexplained = [
         c for c in probability if c != OTHER and probability[c] > CLAIM_RULES.negligible and not explains(c)
     ]
     wrong = probability[OTHER] + sum(probability[c] for c in unexplained)
-    if wrong >= CLAIM_RULES.sure:
+    if wrong >= sure:
         return Claim("other", (), wrong)
     return _undecided(probability)
 
@@ -406,21 +409,21 @@ def _undecided(probability: Mapping[str, float]) -> Claim:
     return Claim("undecided", causes, _acting(probability, causes))
 
 
-def _several(probability: Mapping[str, float]) -> Claim | None:
-    """Two or more causes that each act, and act at once."""
-    sure = {c for c, p in inclusion_of(probability).items() if p >= CLAIM_RULES.sure}
-    if len(sure) < 2:
+def _several(probability: Mapping[str, float], sure: float) -> Claim | None:
+    """Two or more causes that each act, with a probability of at least ``sure``, and act at once."""
+    acts = {c for c, p in inclusion_of(probability).items() if p >= sure}
+    if len(acts) < 2:
         return None
-    acting = sum(p for name, p in probability.items() if sure <= _held(name))
-    first = _leading(probability, sure)
-    order = [c for c in causes_in(first) if c in sure] + sorted(sure - set(causes_in(first)))
+    acting = sum(p for name, p in probability.items() if acts <= _held(name))
+    first = _leading(probability, acts)
+    order = [c for c in causes_in(first) if c in acts] + sorted(acts - set(causes_in(first)))
     return Claim("pair", tuple(order), acting)
 
 
-def _causes(probability: Mapping[str, float], log_evidence: Mapping[str, float]) -> Claim | None:
-    """The fewest causes of which one acts, with those that only priors speak against."""
+def _causes(probability: Mapping[str, float], log_evidence: Mapping[str, float], sure: float) -> Claim | None:
+    """The fewest causes of which one acts, as ``sure``, with those that only priors speak against."""
     inclusion, members = inclusion_of(probability), list[str]()
-    while _acting(probability, members) < CLAIM_RULES.sure:
+    while _acting(probability, members) < sure:
         gains = {c: _acting(probability, (*members, c)) for c in inclusion if c not in members}
         if not gains or len(members) == CLAIM_RULES.most:
             return None

@@ -20,6 +20,8 @@ _P_LOW = 0.02
 _STABLE = 0.8
 # Importance sampling whose standard error of a log evidence is above this is warned of, nats.
 _ROUGH = 0.3
+# Probability of sets that were not weighed from which it is said.
+_UNWEIGHED = 0.01
 
 
 def diagnosis_notices(d: Diagnosis) -> tuple[Notice, ...]:
@@ -63,6 +65,8 @@ def _of_evidences(d: Diagnosis) -> Iterator[Notice]:
     rough = max((t.marginal.error for t in d.weighed.tested if np.isfinite(t.marginal.error)), default=0.0)
     if rough > _ROUGH:
         yield Notice("rough_evidences", facts={"error": float(rough)})
+    if d.weighed.unaccounted > _UNWEIGHED:
+        yield Notice("unweighed_sets", facts={"probability": d.weighed.unaccounted})
 
 
 def _unknowns(d: Diagnosis) -> set[str]:

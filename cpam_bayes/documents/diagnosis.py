@@ -239,7 +239,7 @@ class Priors(TypedDict):
 
     none: Number
     other: Number
-    pairs_tested: Number
+    sets_tested: Annotated[Number, Field(description="of several causes at once, as far as weighed")]
     families: Annotated[dict[str, dict[str, Number]], Field(description="family, cause: probability")]
     effects: Annotated[dict[str, dict[str, SizePrior]], Field(description="cause, size: its prior")]
 

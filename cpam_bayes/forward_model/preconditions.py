@@ -492,7 +492,21 @@ def contradicts_list(notices: Iterable[Notice]) -> bool:
     return any(notice.code in _CONTRADICTING for notice in notices)
 
 
-def stated_noise_slips(measurement: Measurement) -> tuple[Notice, ...]:
+def stated_slips(specimen: Specimen) -> tuple[Notice, ...]:
+    """What a file states and cannot be: thickness, mass and density that disagree, a noise of no tap test."""
+    found, plate = [], specimen.plate
+    if plate.thicknesses_apart > _FAR_SD:
+        gauged, by_mass = plate.thicknesses or ()
+        facts = {"gauged": gauged, "by_mass": by_mass, "apart": plate.thicknesses_apart}
+        found.append(
+            Notice("thicknesses_apart", "slip", {**facts, "taken": (plate.thickness, plate.sd["thickness"])})
+        )
+    if specimen.measurement is not None:
+        found += _noise_slips(specimen.measurement)
+    return tuple(found)
+
+
+def _noise_slips(measurement: Measurement) -> Iterator[Notice]:
     """A stated noise that no tap test has: per cent written as a fraction, most likely."""
     if measurement.frequency_sd is not None:
         relative = measurement.frequency_sd / measurement.frequencies
@@ -502,8 +516,9 @@ def stated_noise_slips(measurement: Measurement) -> tuple[Notice, ...]:
     elif measurement.relative_std is not None:
         level, facts = measurement.relative_std, {"noise": measurement.relative_std}
     else:
-        return ()
-    return (Notice("large_stated_noise", "slip", facts),) if level > HIGH_MISFIT else ()
+        return
+    if level > HIGH_MISFIT:
+        yield Notice("large_stated_noise", "slip", facts)
 
 
 def common_factor_slips(

@@ -340,9 +340,11 @@ def _plate(model: PlateModel, kinds: Mapping[str, PlyKind], directory: Path | No
     mass = None if model.mass_g is None else to_si("mass_g", model.mass_g)
     layup = parse_layup(model.layup or _ISOTROPIC_LAYUP, kinds)
     sd = {} if model.sd is None else _in_si(model.sd.model_dump(exclude_none=True))
+    thicknesses = None
     if mass is not None and model.density_kg_m3 is not None:
-        gauged = {"length": length, "width": width, "thickness": thickness, "mass": mass}
-        thickness, sd = _thickness(gauged, float(model.density_kg_m3), sd)
+        stated = {"thickness": thickness, "length": length, "width": width, "mass": mass}
+        thicknesses = _thicknesses({**stated, "density": float(model.density_kg_m3)}, sd)
+        thickness, sd = _mean_thickness(thicknesses, sd)
     if mass is not None:
         density = mass / (length * width * thickness)
     elif model.density_kg_m3 is not None:
@@ -359,26 +361,36 @@ def _plate(model: PlateModel, kinds: Mapping[str, PlyKind], directory: Path | No
         edges=model.edges,
         sd=sd,
         mesh=None if model.mesh is None else (directory or Path()) / model.mesh,
+        thicknesses=thicknesses,
     )
 
 
-def _thickness(
-    gauged: Mapping[str, float], density: float, sd: Mapping[str, float]
-) -> tuple[float, dict[str, float]]:
-    """The thickness of a plate of which mass and density are given, m, and its standard deviations.
-
-    The mean of the gauged thickness and of m / (rho a b), each weighed by its precision. The mass, as it was
-    weighed, says what the density is then, which has no standard deviation of its own.
-    """
-    stated = {**gauged, "density": density}
+def _thicknesses(
+    stated: Mapping[str, float], sd: Mapping[str, float]
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The gauged thickness and m / (rho a b), each with its standard deviation, m."""
     relative = {name: sd[name] / value if name in sd else USUAL_SD[name] for name, value in stated.items()}
-    by_mass = gauged["mass"] / (density * gauged["length"] * gauged["width"])
-    own = relative.pop("thickness") * gauged["thickness"]
-    other = by_mass * math.hypot(*relative.values())
+    gauged = stated["thickness"]
+    own = relative.pop("thickness") * gauged
+    by_mass = stated["mass"] / (stated["density"] * stated["length"] * stated["width"])
+    return (gauged, own), (by_mass, by_mass * math.hypot(*relative.values()))
+
+
+def _mean_thickness(
+    each: tuple[tuple[float, float], tuple[float, float]], sd: Mapping[str, float]
+) -> tuple[float, dict[str, float]]:
+    """The thickness of a plate of which mass and density are given, m, and the plate's standard deviations.
+
+    The mean of both thicknesses, each weighed by its precision, its standard deviation times how far they are
+    apart in standard deviations where that is above one (Birge's ratio of two values): one of them is wrong
+    then. The mass, as it was weighed, says what the density is, which has no standard deviation of its own.
+    """
+    (gauged, own), (by_mass, other) = each
     weight = other**2 / (own**2 + other**2) if own > 0.0 else 1.0
+    apart = abs(gauged - by_mass) / math.hypot(own, other)
     kept = {name: value for name, value in sd.items() if name != "density"}
-    kept["thickness"] = own * math.sqrt(weight)
-    return weight * gauged["thickness"] + (1.0 - weight) * by_mass, kept
+    kept["thickness"] = own * math.sqrt(weight) * max(apart, 1.0)
+    return weight * gauged + (1.0 - weight) * by_mass, kept
 
 
 def _mean_density(layup: Layup) -> float:

@@ -5,6 +5,7 @@ At the border stand the names of the plate file, which carry their unit.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
@@ -133,6 +134,8 @@ class Plate:
     edges : four of F (free), S (simply supported), C (clamped): x = 0, y = 0, x = length, y = width
     sd : standard deviations of what was measured, SI, by length, width, thickness, density, mass; 0: exact
     mesh : a mesh file to be used instead of the rectangle
+    thicknesses : as it was gauged and by mass and density, each with its standard deviation, m; None where
+        the file does not give all three
     """
 
     length: float
@@ -144,11 +147,20 @@ class Plate:
     edges: str
     sd: Mapping[str, float]
     mesh: Path | None
+    thicknesses: tuple[tuple[float, float], tuple[float, float]] | None = None
 
     @property
     def area(self) -> float:
         """Length times width, m2."""
         return self.length * self.width
+
+    @property
+    def thicknesses_apart(self) -> float:
+        """How far the two thicknesses are apart, in standard deviations of their difference; 0 for one."""
+        if self.thicknesses is None:
+            return 0.0
+        (gauged, sd), (by_mass, sd_by_mass) = self.thicknesses
+        return abs(gauged - by_mass) / math.hypot(sd, sd_by_mass)
 
     @property
     def total_mass(self) -> float:

@@ -24,7 +24,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_seed,
     require_supported,
     require_whole,
-    stated_noise_slips,
+    stated_slips,
 )
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.inference.swarm import SwarmSettings
@@ -185,10 +185,9 @@ def sensitivity(
             notify=shown.notify,
             progress=lambda done, _: shown.tick(done, float(done)),
         )
-    stated = () if specimen.measurement is None else stated_noise_slips(specimen.measurement)
     return SensitivityResult(
         seed=seed,
-        notices=(*stated, *reference_slips(specimen), *sensitivity_notices(study)),
+        notices=(*stated_slips(specimen), *reference_slips(specimen), *sensitivity_notices(study)),
         reached_goal=all(cell.posterior.converged for cell in study.cells),
         specimen=specimen,
         air_shifts=air_shifts(specimen),

@@ -25,7 +25,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_seed,
     require_sequence,
     require_whole,
-    stated_noise_slips,
+    stated_slips,
 )
 from cpam_bayes.identification.point import reliances, verdict_of
 from cpam_bayes.inference.posterior import NOISE
@@ -288,7 +288,7 @@ def _slips(specimen: Specimen, fit: BestFit) -> tuple[Notice, ...]:
     measurement = specimen.measurement
     assert measurement is not None
     return (
-        *stated_noise_slips(measurement),
+        *stated_slips(specimen),
         *count_slips(measurement.size, specimen.unknowns.size),
         *misfit_slips(misfit),
         *reference_slips(specimen),

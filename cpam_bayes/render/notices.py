@@ -10,7 +10,7 @@ from string import Formatter
 from typing import Any, Final, TypeAlias
 
 from cpam_bayes.answer import Notice, Severity
-from cpam_bayes.formatting import listed, significant
+from cpam_bayes.formatting import listed, significant, with_spread
 from cpam_bayes.forward_model.preconditions import likely_cure
 from cpam_bayes.plate import Constraint, to_user, user_name
 from cpam_bayes.plate.edges import CONDITIONS, PLACES
@@ -123,6 +123,19 @@ def _large_stated_noise(facts: Facts) -> str:
         f"{what} is {_percent(noise)} of a frequency; a tap test repeats to 1 % or better, and with so much "
         f"noise any misfit passes.{meant}"
     )
+
+
+def _thicknesses_apart(facts: Facts) -> str:
+    gauged, by_mass, taken = (_in_mm(*facts[key]) for key in ("gauged", "by_mass", "taken"))
+    return (
+        f"Thickness, mass and density disagree: {gauged} as gauged, {by_mass} by mass over density, "
+        f"{facts['apart']:.1f} standard deviations apart. One of them, or a side, is wrong: {taken} is "
+        "taken, which allows for both."
+    )
+
+
+def _in_mm(value: float, sd: float) -> str:
+    return f"{' +- '.join(with_spread(1e3 * value, 1e3 * sd))} mm"
 
 
 def _equal_lists(facts: Facts) -> str:
@@ -509,6 +522,7 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "few_frequencies": _few_frequencies,
     "no_frequency_over": _no_frequency_over,
     "large_stated_noise": _large_stated_noise,
+    "thicknesses_apart": _thicknesses_apart,
     "equal_lists": _equal_lists,
     "list_given_twice": (
         "The frequencies of {name} are those of {before}, digit by digit. Give the list that was measured "
@@ -578,6 +592,10 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     ),
     "list_over_noise": _list_over_noise,
     "rough_evidences": "Log evidences are known only to {error:two digits}: probabilities are rough.",
+    "unweighed_sets": (
+        "Causes that may act at once and were not weighed together have a probability of about "
+        "{probability:two digits}: nothing is claimed that they could overturn."
+    ),
     "rough_surrogate": (
         "The log evidence of the surrogate is {rms:.2f} off (rms): the size of the credible set and the "
         "marginals are rough. The listed sequences are computed without it."

@@ -1,6 +1,7 @@
 """Slips that ruin an answer are found, and plates that are as they should be are left alone."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,10 +17,10 @@ from cpam_bayes.forward_model.preconditions import (
     misfit_slips,
     reference_slips,
     require_reachable,
-    stated_noise_slips,
+    stated_slips,
 )
 from cpam_bayes.plate import Specimen
-from cpam_bayes.plate.reader import builtin
+from cpam_bayes.plate.reader import builtin, parse_specimen
 from cpam_bayes.questions.plates import plates
 from cpam_bayes.render.notices import sentence_of
 
@@ -158,9 +159,32 @@ def test_a_stated_noise_that_no_tap_test_has_is_a_slip(noise: dict[str, float], 
         given = replace(measurement, frequency_sd=noise["frequency_sd"] * measurement.frequencies)
     else:
         given = replace(measurement, relative_std=noise.get("relative_std"))
-    slips = stated_noise_slips(given)
+    slips = stated_slips(replace(builtin("A1"), measurement=given))
     assert [slip.facts["noise"] for slip in slips] == ([] if level is None else [pytest.approx(level)])
     assert all(("source" in slip.facts) == ("frequency_sd" in noise) for slip in slips)
+
+
+def panel(density: float) -> Specimen:
+    """README's panel, 3.1 +- 0.02 mm gauged, with a density of its data sheet as well, known to 1 %."""
+    text = (Path(__file__).parents[2] / "examples" / "panel.toml").read_text("utf-8")
+    text = text.replace("mass_g = 340.7", f"density_kg_m3 = {density}\nmass_g = 340.7")
+    return parse_specimen(text, "panel.toml")
+
+
+def test_a_mass_and_a_density_that_are_not_those_of_the_thickness_are_a_slip() -> None:
+    # 340.7 g over 310 x 228 mm and 1480 kg/m3 are 3.257 mm, known to 1.02 %
+    by_mass, sd = 3.2570, 3.2570 * 0.0102
+    apart = (by_mass - 3.1) / np.hypot(sd, 0.02)
+    (slip,) = stated_slips(panel(1480.0))
+    assert slip.facts["apart"] == pytest.approx(apart, abs=0.02)
+    assert slip.facts["by_mass"] == pytest.approx((1e-3 * by_mass, 1e-3 * sd), rel=2e-3)
+    plate = panel(1480.0).plate
+    weight = sd**2 / (sd**2 + 0.02**2)
+    assert plate.thickness == pytest.approx(1e-3 * (weight * 3.1 + (1 - weight) * by_mass), rel=1e-4)
+    # what is taken allows for both of them
+    assert plate.sd["thickness"] == pytest.approx(0.02e-3 * np.sqrt(weight) * apart, rel=2e-3)
+    assert stated_slips(panel(1555.0)) == ()
+    assert panel(1555.0).plate.sd["thickness"] < 0.02e-3
 
 
 def moduli_of_c1(factor: float, **changes: float) -> dict[str, tuple[float, float]]:

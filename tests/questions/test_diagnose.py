@@ -1,6 +1,7 @@
 """What a diagnosis says, shows and writes, of lists whose truth is known."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -223,11 +224,40 @@ def test_priors_of_families_causes_and_sizes_are_told(clean):
     size = priors["effects"]["frequency_scale"]["frequency_deviation"]
     assert (size["kind"], size["scale"], size["unit"]) == ("Student-t", 2.0, "%")
     assert size["gross"] is None
-    gross = priors["effects"]["taper_x"]["taper_x"]["gross"] if "taper_x" in priors["effects"] else None
-    assert gross is None or gross["fraction"] == 0.1
+    assert priors["sets_tested"] == 0.0
+
+
+def test_sets_that_were_tested_are_no_family_and_gross_sizes_are_told(clean):
+    tested = clean.weighed.tested
+    frequency_scale = next(t for t in tested if t.hypothesis.cause == "frequency_scale")
+    taper = next(effect for effect in CATALOGUE if effect.name == "taper_x")
+    gross = replace(
+        frequency_scale,
+        hypothesis=replace(
+            frequency_scale.hypothesis,
+            cause="taper_x",
+            family="shape",
+            parameters=taper.parameters,
+            prior=0.01,
+        ),
+    )
+    both = replace(gross, hypothesis=replace(gross.hypothesis, cause="a + b", family="set", prior=0.002))
+    weighed = replace(clean.weighed, tested=(*tested, gross, both))
+    priors = document(replace(clean, weighed=weighed))["priors"]
+    assert priors["sets_tested"] == 0.002
+    assert "a + b" not in {cause for causes in priors["families"].values() for cause in causes}
+    assert priors["effects"]["taper_x"]["taper_x"]["gross"]["fraction"] == 0.1
 
 
 # The first screen
+
+
+def test_no_evidence_is_told_with_the_probability_of_an_error(clean):
+    said = summary(clean).headline
+    found = re.match(r"No evidence of an error \(probability of one ([\d.]+), Bayes factor ([\d.]+)\)", said)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(1.0 - clean.weighed.by_cause()["none"], abs=0.006)
+    assert float(found[2]) == pytest.approx(clean.bayes_factor, rel=0.06)
 
 
 def with_causes(d, causes, claim):

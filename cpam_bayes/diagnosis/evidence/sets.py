@@ -7,8 +7,8 @@ errors lead these optima astray: pairs are ranked about the prior medians too, a
 them, about the constants of the best pair, until no better one turns up. An error of a list may show only
 once a cause of the plate is there: where no two causes explain the lists, the leading causes of the plates
 are fitted together with every error of the lists, all of these at once. A further cause that does not show is
-not fitted. What the closed form gives the sets that show and were not fitted is unaccounted for, and the
-search goes on while that is more than a hundredth.
+not fitted. What the closed form gives the sets that show and were not fitted, at most about any of these
+points, is unaccounted for, and the search goes on while that is more than a hundredth.
 """
 
 from __future__ import annotations
@@ -218,7 +218,7 @@ class _SetSearch:
     causes : every variant of every cause, the most probable first
     scales : by number of causes, prior of a set over the product of those of its causes
     fitted : keys of the sets that were fitted
-    scored : log of prior times evidence in closed form, of sets that were ranked
+    scored : log of prior times evidence in closed form, of sets that were ranked, the largest of all points
     """
 
     scan: Scan
@@ -254,13 +254,13 @@ class _SetSearch:
         inside, _, _ = none.comparison.predict_inside(none.comparison.scores.to_x(medians))
         return [_Point(replace(none, z=medians), self.plain.cases)] if len(inside) else []
 
-    def about(self, pair: Tested) -> _Point:
-        """The constants of a pair, without what it does."""
+    def about(self, tested: Tested) -> _Point:
+        """The constants of a cause or a set, without what it does."""
         scan, comparison = self.scan, self.scan.none.comparison
-        if pair.cases:
-            comparison = comparison_of(pair.cases, scan.tested[0].hypothesis, scatter=scan.scatter)
-        constants = comparison.carried(pair.marginal.comparison, pair.marginal.z[:1])
-        return _Point(replace(scan.none, comparison=comparison, z=constants), pair.cases)
+        if tested.cases:
+            comparison = comparison_of(tested.cases, scan.tested[0].hypothesis, scatter=scan.scatter)
+        constants = comparison.carried(tested.marginal.comparison, tested.marginal.z[:1])
+        return _Point(replace(scan.none, comparison=comparison, z=constants), tested.cases)
 
     def leaders(self) -> list[Tested]:
         """The best variants of the leading causes."""
@@ -278,6 +278,8 @@ class _SetSearch:
         seen: set[_Key] = set()
         for _ in range(SETS.rounds):
             order = [t for t in ranked(self.scan.tested) if t.hypothesis.cause not in (NONE, OTHER)]
+            if not self.scan.is_explained and order[0].key not in seen:
+                self.fit([self.about(order[0])], SETS.fitted_further, SETS.promising)
             near = [t for t in order if t.log_weight > order[0].log_weight - SETS.near and t.key not in seen]
             new = list({t.key: t for t in reversed(near[: SETS.grown])}.values())[::-1]
             if not new:
@@ -319,7 +321,7 @@ class _SetSearch:
         least = scan.best - promising
         for point in points:
             candidates = self._ranked(point)
-            self.scored |= {c.key: c.log_weight for c in candidates}
+            self.scored |= {c.key: max(c.log_weight, self.scored.get(c.key, -np.inf)) for c in candidates}
             for candidate in candidates[:most]:
                 if candidate.log_weight > least and candidate.key not in self.fitted:
                     self.fitted.add(candidate.key)
@@ -375,11 +377,14 @@ class _SetSearch:
     def _ranked(self, point: _Point) -> list[_Candidate]:
         """The sets that add a cause to the point, or two, the best variants of each, the best set first."""
         linear = _linear(point.marginal)
-        alone = logsumexp([own.log_constant - 0.5 * own.residual @ own.residual for own in linear])
+        known = point if point.leader is not None else self.plain
+        # the plain model's evidence is that of its closed form about its own optimum, and not elsewhere
+        at_optimum = linear if known is point else _linear(known.marginal)
+        alone = logsumexp([own.log_constant - 0.5 * own.residual @ own.residual for own in at_optimum])
         best: dict[_Key, _Candidate] = {}
         for a, b in self._couples(point):
             log_density, best_nodes = _together(linear, a, b)
-            log_evidence = point.marginal.log_evidence + log_density - float(alone)
+            log_evidence = known.marginal.log_evidence + log_density - float(alone)
             if log_evidence < max(s.cause.marginal.log_evidence for s in (a, b)) + SETS.shown:
                 continue
             both = together((a.cause.hypothesis, b.cause.hypothesis), self.scales)

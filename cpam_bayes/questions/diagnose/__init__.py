@@ -37,7 +37,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_number,
     require_reachable,
     require_seed,
-    stated_noise_slips,
+    stated_slips,
 )
 from cpam_bayes.identification.joint import require_one_material
 from cpam_bayes.parallel import open_executor
@@ -181,9 +181,8 @@ def _slips(diagnosis: Diagnosis, specimens: Sequence[Specimen]) -> tuple[Notice,
     """Likely slips that ruin the diagnosis."""
     fit = diagnosis.extended or diagnosis.baseline
     unknowns = {name for specimen in specimens for name in specimen.unknowns.names}
-    measurements = [s.measurement for s in specimens if s.measurement is not None]
     return (
-        *(slip for m in measurements for slip in stated_noise_slips(m)),
+        *(slip for specimen in specimens for slip in stated_slips(specimen)),
         *equal_list_slips(specimens),
         *count_slips(len(diagnosis.baseline.measured), len(unknowns)),
         *misfit_slips(fit.rms),

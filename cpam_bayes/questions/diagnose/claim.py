@@ -86,7 +86,8 @@ def claim_sentence(d: Diagnosis) -> str:
     by_name = {cause.name: cause for cause in d.causes}
     match d.claim.kind:
         case "none":
-            return f"No evidence of an error (Bayes factor {significant(d.bayes_factor, 2)})."
+            wrong, factor = probability_text(d.something_wrong), significant(d.bayes_factor, 2)
+            return f"No evidence of an error (probability of one {wrong}, Bayes factor {factor})."
         case "named":
             cause = by_name[d.claim.causes[0]]
             if not d.beside and cause.probability >= _CONTAINED * d.claim.probability:

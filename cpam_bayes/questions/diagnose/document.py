@@ -17,7 +17,7 @@ from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.evidence.marginal import Tested, distinct_hypotheses, prior_of
 from cpam_bayes.diagnosis.extension import FrequencyRow, PairedFit
 from cpam_bayes.diagnosis.fit import Fit, inferred_noise
-from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Claim, Hypothesis, causes_in
+from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, SET, Claim, Hypothesis, causes_in
 from cpam_bayes.diagnosis.next_test import Candidate
 from cpam_bayes.effects import CATALOGUE, Effect, scale_of
 from cpam_bayes.formatting import fixed, signed, significant, with_spread
@@ -601,10 +601,10 @@ def _priors(d: Diagnosis) -> dict[str, Any]:
     """Prior probabilities of families and causes, and the priors of the effects' sizes."""
     families: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
     effects: dict[str, dict[str, Any]] = {}
-    pairs = 0.0
+    of_sets = 0.0
     for h in distinct_hypotheses(d.weighed.tested):
-        if h.family == "pair":
-            pairs += h.prior
+        if h.family == SET:
+            of_sets += h.prior
             continue
         if h.cause not in (NONE, OTHER):
             families[h.family][h.cause] += h.prior
@@ -614,7 +614,7 @@ def _priors(d: Diagnosis) -> dict[str, Any]:
     return {
         "none": d.weighed.none.hypothesis.prior,
         "other": prior_of([t for t in d.weighed.tested if t.hypothesis.cause == OTHER]),
-        "pairs_tested": pairs,
+        "sets_tested": of_sets,
         "families": {name: dict(causes) for name, causes in families.items()},
         "effects": effects,
     }

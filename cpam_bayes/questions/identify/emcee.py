@@ -29,7 +29,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_choice,
     require_seed,
     require_supported,
-    stated_noise_slips,
+    stated_slips,
 )
 from cpam_bayes.forward_model.reduced import ReducedModel, basis_error
 from cpam_bayes.identification.point import reliances, sampled_notices, verdict_of
@@ -465,7 +465,7 @@ def _slips(
         c.name: (c.value, c.sd) for c in constants.values() if c.verdict in (Verdict.DATA, Verdict.MISFIT)
     }
     return (
-        *stated_noise_slips(measurement),
+        *stated_slips(specimen),
         *count_slips(measurement.size, len(constants)),
         *excess,
         *(() if is_named else common_factor_slips(specimen, determined)),

@@ -28,7 +28,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_paired_list,
     require_seed,
     require_supported,
-    stated_noise_slips,
+    stated_slips,
 )
 from cpam_bayes.identification.angle_search import AngleSearchResult, search_angles
 from cpam_bayes.identification.point import PointEstimate, estimate_constants, point_notices
@@ -329,7 +329,7 @@ def identify(
         if c.verdict in (Verdict.DATA, Verdict.MISFIT) and not c.elsewhere
     }
     slips = (
-        *stated_noise_slips(measurement),
+        *stated_slips(specimen),
         *count_slips(n, k),
         *(() if explained_by else common_factor_slips(specimen, determined)),
         *excess,

@@ -9,8 +9,10 @@ import pytest
 
 from cpam_bayes.diagnosis.answers.detectability import detectable, linear_oracle, shift_lines
 from cpam_bayes.diagnosis.comparison import PlateCase, comparison_of, effect_columns
+from cpam_bayes.diagnosis.evidence import sets
 from cpam_bayes.diagnosis.evidence import weighing as pairs
 from cpam_bayes.diagnosis.evidence.scan import misfit_probability
+from cpam_bayes.diagnosis.evidence.sets import SetSettings
 from cpam_bayes.diagnosis.evidence.weighing import Weighed, marginal_of, weigh
 from cpam_bayes.diagnosis.hypotheses import (
     NONE,
@@ -209,6 +211,18 @@ def test_a_cause_that_does_not_show_beside_another_is_not_fitted_with_it() -> No
     assert all("dented" not in t.hypothesis.causes for t in found.tested if t.hypothesis.family == "set")
     assert found.by_cause()["dented"] == pytest.approx(alone.by_cause()["dented"], abs=1e-3)
     assert found.unaccounted < 0.01
+
+
+def test_sets_that_are_not_fitted_are_unaccounted_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = plate(0.03 * (DENT + BUMP))
+    hypotheses = of_one(NOTHING, ANYTHING, *SINGLES)
+    known = weigh([own], hypotheses)
+    assert known.unaccounted < 0.01
+    monkeypatch.setattr(sets, "SETS", SetSettings(fitted=0, fitted_further=0))
+    found = weigh([own], hypotheses)
+    assert {t.hypothesis.family for t in found.tested} & {"set"} == set()
+    # of the set that is true here, fitted, more: nodes of sizes are few
+    assert known.by_cause()["bent + dented"] > found.unaccounted > 0.95
 
 
 def test_three_causes_at_once_are_found_and_each_is_included() -> None:
