@@ -54,7 +54,7 @@ from cpam_bayes.printed.repetition import (
     run_task,
     swarm_value,
 )
-from cpam_bayes.printed.tables import PerturbationTable
+from cpam_bayes.printed.tables import PrintedTable, perturbation_table
 from cpam_bayes.running import TimeIsUpError, cut_short, single_blas_thread
 
 Array = NDArray[Any]
@@ -327,11 +327,10 @@ def _comparisons(
     )
 
 
-def printed_table(result: Sensitivity, table: PerturbationTable | None) -> PerturbationTable | None:
-    """The paper's table if it is of this built-in specimen: a file of the same name is another plate."""
-    if table is None or result.specimen.source != f"built-in {table.specimen}":
-        return None
-    return table
+def own_table(specimen: Specimen) -> PrintedTable | None:
+    """The paper's table of a built-in specimen: a file of the same name is another plate."""
+    is_own = specimen.source == f"built-in {specimen.name}"
+    return perturbation_table(specimen.name) if is_own else None
 
 
 def sensitivity_notices(result: Sensitivity) -> tuple[Notice, ...]:
