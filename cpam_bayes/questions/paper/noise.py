@@ -149,7 +149,7 @@ def _noisy_layup(
     if sought is None:
         why = "the searches of angles and constants together were left out"
         return row_of(table, row, "angles_deg", cell, None, (NOT_COMPUTED, why))
-    found = NoisyAngles.of(table.number, row.source, cell.angles_deg, sought)
+    found = NoisyAngles.of(cell.angles_deg, sought)
     details = {**found.details, **({} if weighed is None else _told(weighed))}
     return row_of(table, row, "angles_deg", cell, found.means_deg, found.verdict, details=details)
 
@@ -165,7 +165,6 @@ def _told(weighed: Mapping[str, Any]) -> dict[str, float]:
 class NoisyAngles:
     """Angles that inversions of perturbed lists ended at, beside a printed mean of ten.
 
-    source : of the printed row, its level
     printed, means_deg : mean angle of each unknown ply, the outermost first; ours on the mirror image that is
         nearer the printed one
     spread_deg : circular standard deviation of each angle, which repeats after 180 degrees; 61 for ten
@@ -174,8 +173,6 @@ class NoisyAngles:
     distinct : sequences among their ends, mirror images counted once
     """
 
-    table: int
-    source: str
     printed: tuple[int, ...]
     means_deg: tuple[float, ...]
     spread_deg: tuple[float, ...]
@@ -184,7 +181,7 @@ class NoisyAngles:
     groups: int
 
     @classmethod
-    def of(cls, table: int, source: str, printed: Sequence[int], level: Mapping[str, Any]) -> NoisyAngles:
+    def of(cls, printed: Sequence[int], level: Mapping[str, Any]) -> NoisyAngles:
         """From the angles of the inversions at a level."""
         goal = np.array(printed, dtype=float)
         ends = np.array(level["angles_deg"], dtype=float)
@@ -198,8 +195,6 @@ class NoisyAngles:
         # of n directions without preference the mean length is about 1 / sqrt(n)
         spread = 0.5 * np.degrees(np.sqrt(-2.0 * np.log(np.clip(length, 1.0 / len(ends), 1.0))))
         return cls(
-            table=table,
-            source=source,
             printed=tuple(int(a) for a in printed),
             means_deg=tuple(float(m) for m in mean),
             spread_deg=tuple(float(d) for d in spread),

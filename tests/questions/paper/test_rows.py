@@ -189,7 +189,7 @@ def test_a_change_below_the_standard_error_of_ten_cannot_be_shown() -> None:
 def test_angles_are_compared_on_the_nearer_mirror_image_and_as_fibres_without_a_head() -> None:
     # ten ends: six at the printed sequence, two at its mirror image, two with one ply 10 degrees further
     ends = [[5, 90, 0, -85]] * 6 + [[-5, 90, 0, 85]] * 2 + [[5, 90, 0, 85]] * 2
-    found = NoisyAngles.of(11, "1 % disorder", (5, 90, 0, -85), {"angles_deg": ends})
+    found = NoisyAngles.of((5, 90, 0, -85), {"angles_deg": ends})
     assert (found.found, found.distinct, found.groups) == (8, 2, 10)
     # -85 and 85 are 10 degrees apart, not 170
     assert found.means_deg == pytest.approx((5.0, 90.0, 0.0, -87.0))
@@ -198,7 +198,7 @@ def test_angles_are_compared_on_the_nearer_mirror_image_and_as_fibres_without_a_
     length = abs(0.8 + 0.2 * np.exp(2j * np.radians(10.0)))
     assert found.spread_deg[3] == pytest.approx(0.5 * np.degrees(np.sqrt(-2.0 * np.log(length))))
     assert found.spread_deg[:3] == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
-    other = NoisyAngles.of(11, "1 % disorder", (40, 90, 0, -85), {"angles_deg": ends})
+    other = NoisyAngles.of((40, 90, 0, -85), {"angles_deg": ends})
     assert (other.found, other.verdict[0]) == (0, NOT_REPRODUCIBLE)
 
 
