@@ -77,14 +77,11 @@ _OFFSET, _RESIDUAL = 0.3, 0.1
 class Evidence:
     """The results of one constant at one level of noise.
 
-    groups : number of inversions.
-    repetition_mean, repetition_sd : over these (sd with groups - 1).
+    groups : number of inversions; repetition_mean, repetition_sd : over these (sd with groups - 1).
     posterior_mean, posterior_sd, effective : of the posterior and its effective number of draws.
     repetition_at_bound : inversions that ended on a bound.
     posterior_at_bound : draws next to one.
-    clusters : of the inversions.
-    peaks : of the posterior's density.
-    skewness : of the posterior.
+    clusters : of the inversions; peaks, skewness : of the posterior's density.
     contraction : posterior sd over prior sd.
     reordered : fraction of perturbed lists in which modes changed places.
     missed : fraction of inversions whose swarms did not find the minimum.
