@@ -86,7 +86,10 @@ def _refuse(error: ValueError) -> int:
 
 
 def _not_shown(error: OSError) -> int:
-    _give_up(sys.stdout, error)
+    """Say that an answer could not be written, and let what is left of it go nowhere."""
+    print(f"error: standard output: {error.strerror}; the answer was not written", file=sys.stderr)
+    with suppress(OSError):  # a stream that is no file
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return NOT_WRITTEN
 
 
@@ -200,13 +203,6 @@ def _warnings_shown() -> Iterator[None]:
         yield
     finally:
         log.removeHandler(handler)
-
-
-def _give_up(stream: TextIO, error: OSError) -> None:
-    """Say that an answer could not be written, and let what is left of it go nowhere."""
-    print(f"error: standard output: {error.strerror}; the answer was not written", file=sys.stderr)
-    with suppress(OSError):  # a stream that is no file
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _show(answer: Result, as_json: bool, verbose: bool) -> None:

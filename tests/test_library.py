@@ -4,6 +4,7 @@ import ast
 import doctest
 import inspect
 import json
+import math
 import pickle
 import subprocess
 import sys
@@ -221,6 +222,8 @@ def test_a_plate_can_be_given_as_its_content_and_a_wrong_key_is_named(plate_file
         (lambda: cb.sensitivity("A1", readings="x"), "readings: received 'x', accepted: relative rms"),
         (lambda: cb.sensitivity("A1", readings=[]), "readings: received '', accepted: relative rms"),
         (lambda: cb.sensitivity("A1", levels=[5.0]), "levels, as fractions: received 5.0, accepted"),
+        (lambda: cb.sensitivity("A1", levels=[]), "levels, as fractions: received 0.0, accepted"),
+        (lambda: cb.sensitivity("A1", levels=[math.nan]), "levels, as fractions: received nan, accepted"),
         (lambda: cb.sensitivity("A1", groups=1), "groups: received 1, accepted: a whole number from 2"),
         (lambda: cb.forward("A1", n_modes=0), "n_modes: received 0, accepted: a whole number from 1 to 100"),
         (

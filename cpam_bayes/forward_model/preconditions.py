@@ -494,13 +494,12 @@ def contradicts_list(notices: Iterable[Notice]) -> bool:
 
 def stated_slips(specimen: Specimen) -> tuple[Notice, ...]:
     """What a file states and cannot be: thickness, mass and density that disagree, a noise of no tap test."""
-    found, plate = [], specimen.plate
-    if plate.thicknesses_apart > _FAR_SD:
-        gauged, by_mass = plate.thicknesses or ()
+    found, plate = list[Notice](), specimen.plate
+    if plate.thicknesses is not None and plate.thicknesses_apart > _FAR_SD:
+        gauged, by_mass = plate.thicknesses
         facts = {"gauged": gauged, "by_mass": by_mass, "apart": plate.thicknesses_apart}
-        found.append(
-            Notice("thicknesses_apart", "slip", {**facts, "taken": (plate.thickness, plate.sd["thickness"])})
-        )
+        facts["taken"] = (plate.thickness, plate.sd["thickness"])
+        found.append(Notice("thicknesses_apart", "slip", facts))
     if specimen.measurement is not None:
         found += _noise_slips(specimen.measurement)
     return tuple(found)

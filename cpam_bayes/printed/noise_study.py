@@ -54,7 +54,7 @@ from cpam_bayes.printed.repetition import (
     run_task,
     swarm_value,
 )
-from cpam_bayes.printed.tables import PerturbationTable
+from cpam_bayes.printed.tables import PrintedTable, perturbation_table
 from cpam_bayes.running import TimeIsUpError, cut_short, single_blas_thread
 
 Array = NDArray[Any]
@@ -147,10 +147,8 @@ def model_list(
 ) -> Specimen:
     """The specimen with the frequencies that its own model gives at its reference constants.
 
-    Raises ``ValueError`` if there is nothing to identify or these are not inside the search bounds.
+    Raises ``ValueError`` if these are not inside the search bounds.
     """
-    if not specimen.unknowns.size:
-        raise ValueError(f"{specimen.source}: [unknowns] is missing, nothing to identify")
     unknowns = specimen.unknowns
     x = unknowns.vector(reference_constants(specimen))
     for name, value, low, high in zip(unknowns.names, x, unknowns.lower, unknowns.upper, strict=True):
@@ -187,20 +185,15 @@ def noise_study(
     percentages with it.
 
     source : where the list comes from, for the record (`model_list` makes the other one).
-    levels : of noise, as fractions. The random numbers of a noisy list depend on the seed, the level, the
-    reading and the number of its group alone: neither other levels nor workers change it.
+    specimen : with a list without gaps.
+    levels : of noise, as fractions, above 0; groups : 2 or more. The random numbers of a noisy list depend
+    on the seed, the level, the reading and the number of its group alone: neither other levels nor workers
+    change it.
 
-    Raises ``ValueError`` as ``estimate_constants`` does, for a list that may lack modes, and for levels or
-    groups out of range.
+    Raises ``ValueError`` as ``estimate_constants`` does.
     """
     start = time.perf_counter()
-    if not levels or not all(0.0 < level <= 0.5 for level in levels):
-        raise ValueError(f"levels of noise: received {tuple(levels)}, accepted: above 0, at most 0.5")
-    if groups < _FEWEST_GROUPS:
-        raise ValueError(f"groups: received {groups}, accepted: 2 or more, a spread needs two")
     measurement, unknowns = required(specimen)
-    if not measurement.complete:
-        raise ValueError(f"{specimen.source}: measurement.complete is false, a list without gaps is needed")
     settings = swarm_settings or SwarmSettings()
     plain = _plain(specimen, measurement)
     known = tuple((k, v) for k, v in specimen.material.constants.items() if k not in unknowns)
@@ -327,11 +320,10 @@ def _comparisons(
     )
 
 
-def printed_table(result: Sensitivity, table: PerturbationTable | None) -> PerturbationTable | None:
-    """The paper's table if it is of this built-in specimen: a file of the same name is another plate."""
-    if table is None or result.specimen.source != f"built-in {table.specimen}":
-        return None
-    return table
+def own_table(specimen: Specimen) -> PrintedTable | None:
+    """The paper's table of a built-in specimen: a file of the same name is another plate."""
+    is_own = specimen.source == f"built-in {specimen.name}"
+    return perturbation_table(specimen.name) if is_own else None
 
 
 def sensitivity_notices(result: Sensitivity) -> tuple[Notice, ...]:

@@ -53,49 +53,35 @@ _MAX_SWARMS, _LEFT_BY_SWARM = 5, 5e-4
 POSTERIOR = 2**32 - 1
 
 
-@dataclass(frozen=True, slots=True)
-class AgreementSettings:
-    """When repetition and posterior differ, and what then shows as a cause.
-
-    false_alarm : probability of either test's.
-    at_bound : fraction of the inversions, or of the posterior's draws, that sit on a bound.
-    open : posterior sd over prior sd from which the interval rather than the data gives the width.
-    skewed : skewness of a posterior beyond which its mean is not where its best value is: a Gaussian's is 0,
-        an exponential's 2.
-    missed : fraction of the inversions that are worse than the constants found without noise.
-    reordered : fraction of the perturbed lists in which modes changed places.
-    weights : linearised sd of the minimum of eq. (7) over that of the posterior.
-    offset : distance between the inversion without noise and the posterior's best, in posterior sd, ...
-    residual : ... which is due to residuals of the list if their rms is above this many standard deviations
-        of the noise, and to a swarm that stopped early if not.
-    """
-
-    false_alarm: float = 0.01
-    at_bound: float = 0.1
-    open: float = 0.5
-    skewed: float = 0.5
-    missed: float = 0.1
-    reordered: float = 0.2
-    weights: float = 1.25
-    offset: float = 0.3
-    residual: float = 0.1
-
-
-DEFAULT_AGREEMENT: Final = AgreementSettings()
+# Probability of a false alarm of either test of agreement.
+_FALSE_ALARM: Final = 0.01
+# Fraction of the inversions, or of the posterior's draws, that sit on a bound, from which bounds count.
+_AT_BOUND: Final = 0.1
+# Posterior sd over prior sd from which the interval rather than the data gives the width.
+_OPEN: Final = 0.5
+# Skewness of a posterior beyond which its mean is not where its best value is: a Gaussian's is 0, an
+# exponential's 2.
+_SKEWED: Final = 0.5
+# Fraction of inversions that are worse than the constants found without noise.
+_MISSED: Final = 0.1
+# Fraction of the perturbed lists in which modes changed places.
+_REORDERED: Final = 0.2
+# Linearised sd of the minimum of eq. (7) over that of the posterior from which its weights count.
+_WEIGHTS: Final = 1.25
+# Distance between the inversion without noise and the posterior's best, in posterior sd, that is due to
+# residuals of the list if their rms is above so many sd of the noise, else to a swarm that stopped early.
+_OFFSET, _RESIDUAL = 0.3, 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
     """The results of one constant at one level of noise.
 
-    groups : number of inversions.
-    repetition_mean, repetition_sd : over these (sd with groups - 1).
+    groups : number of inversions; repetition_mean, repetition_sd : over these (sd with groups - 1).
     posterior_mean, posterior_sd, effective : of the posterior and its effective number of draws.
     repetition_at_bound : inversions that ended on a bound.
     posterior_at_bound : draws next to one.
-    clusters : of the inversions.
-    peaks : of the posterior's density.
-    skewness : of the posterior.
+    clusters : of the inversions; peaks, skewness : of the posterior's density.
     contraction : posterior sd over prior sd.
     reordered : fraction of perturbed lists in which modes changed places.
     missed : fraction of inversions whose swarms did not find the minimum.
@@ -141,7 +127,7 @@ class Comparison:
     causes: tuple[Cause, ...]
 
 
-def compare(evidence: Evidence, settings: AgreementSettings = DEFAULT_AGREEMENT) -> Comparison:
+def compare(evidence: Evidence) -> Comparison:
     """Test means and standard deviations against each other and list what can explain a difference.
 
     Means: a t-test of the difference with groups - 1 degrees of freedom; standard deviations: an
@@ -154,29 +140,29 @@ def compare(evidence: Evidence, settings: AgreementSettings = DEFAULT_AGREEMENT)
     difference = evidence.repetition_mean - evidence.posterior_mean
     shift = difference / combined if combined > 0.0 else float(np.copysign(np.inf, difference))
     ratio = evidence.repetition_sd / evidence.posterior_sd if evidence.posterior_sd > 0.0 else np.inf
-    half = settings.false_alarm / 2
+    half = _FALSE_ALARM / 2
     means = bool(abs(shift) <= t_distribution.ppf(1 - half, n - 1)) or difference == 0.0
     freedom = (n - 1, max(evidence.effective - 1.0, 1.0))
     low, high = (float(f_distribution.ppf(p, *freedom)) for p in (half, 1 - half))
     sds = bool(low <= ratio**2 <= high)
-    causes = () if means and sds else _causes(evidence, float(ratio), sds, settings)
+    causes = () if means and sds else _causes(evidence, float(ratio), sds)
     return Comparison(float(error), float(shift), float(ratio), means, sds, causes)
 
 
-def _causes(evidence: Evidence, ratio: float, sds: bool, at: AgreementSettings) -> tuple[Cause, ...]:
+def _causes(evidence: Evidence, ratio: float, sds: bool) -> tuple[Cause, ...]:
     """Possible causes of a difference; sds : whether the standard deviations agree."""
-    at_bound = max(evidence.repetition_at_bound, evidence.posterior_at_bound) >= at.at_bound
+    at_bound = max(evidence.repetition_at_bound, evidence.posterior_at_bound) >= _AT_BOUND
     signs: dict[Cause, bool] = {
-        "missed": evidence.missed >= at.missed,
+        "missed": evidence.missed >= _MISSED,
         "bounds": at_bound,
-        "open": evidence.contraction >= at.open,
+        "open": evidence.contraction >= _OPEN,
         "optima": max(evidence.clusters, evidence.peaks) > 1,
-        "skewed": abs(evidence.skewness) >= at.skewed,
-        "reordered": evidence.reordered >= at.reordered,
+        "skewed": abs(evidence.skewness) >= _SKEWED,
+        "reordered": evidence.reordered >= _REORDERED,
         # weights that are not the noise's can only widen the scatter
-        "weights": not sds and ratio > 1.0 and evidence.weighting >= at.weights,
-        "misfit": abs(evidence.offset) >= at.offset and evidence.residual >= at.residual,
-        "stopped": abs(evidence.offset) >= at.offset and evidence.residual < at.residual,
+        "weights": not sds and ratio > 1.0 and evidence.weighting >= _WEIGHTS,
+        "misfit": abs(evidence.offset) >= _OFFSET and evidence.residual >= _RESIDUAL,
+        "stopped": abs(evidence.offset) >= _OFFSET and evidence.residual < _RESIDUAL,
     }
     return tuple(cause for cause, shown in signs.items() if shown) or ("unexplained",)
 

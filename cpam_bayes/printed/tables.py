@@ -1,7 +1,6 @@
 """The fourteen tables of the paper in the digits of the print, read from the package's data.
 
-Known misprints are kept beside the digits. Percentages are held against the numbers of their own rows, and
-Tables 10 to 14, constants from frequencies with added noise, are also given by constant.
+Known misprints are kept beside the digits. Percentages are held against the numbers of their own rows.
 """
 
 from __future__ import annotations
@@ -76,6 +75,12 @@ class PrintedRow:
     role: Role
     values: Mapping[str, PrintedValue]
 
+    @property
+    def level_percent(self) -> float | None:
+        """The level of noise of a row of Tables 10 to 14; None for the one without noise, and elsewhere."""
+        level, is_noisy, _ = self.source.partition(_DISORDER)
+        return float(level) if is_noisy else None
+
 
 @dataclass(frozen=True, slots=True)
 class PrintedTable:
@@ -100,6 +105,13 @@ class PrintedTable:
                 return row
         raise KeyError(f"Table {self.number}: no row {specimen}, {source}")
 
+    def percent_error(self, column: str, level_percent: float) -> float | None:
+        """The percentage printed at a level of noise, or None where there is no such constant or level."""
+        for row in self.rows:
+            if row.level_percent == level_percent and column in row.values:
+                return float(row.values[column].percent)
+        return None
+
     @property
     def misprints(self) -> tuple[tuple[PrintedRow, str, Misprint], ...]:
         """All misprints with their rows and columns, in the order of the rows."""
@@ -114,6 +126,7 @@ class PrintedTable:
 NUMBERS: Final = tuple(range(1, 15))
 WITHOUT_NOISE: Final = "free disorder"
 """Source of the row of Tables 10 to 14 that no noise was added for."""
+_DISORDER: Final = " % disorder"
 
 
 @cache
@@ -198,7 +211,7 @@ def _noise_rows(read: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         found = [str(angles["found"][i])] if angles else []
         yield {
             **common,
-            "source": f"{level:g} % disorder",
+            "source": f"{level:g}{_DISORDER}",
             "values": amounts + found,
             "percents": percents + [""] * len(found),
         }
@@ -208,38 +221,10 @@ PAPER: Final = "CPAM"
 """Source of the rows of the paper's own method."""
 
 
-@dataclass(frozen=True, slots=True)
-class IdentifiedLayup:
-    """One specimen of Table 9.
-
-    constants : by name with unit, as in plate files, in the digits of the print; empty where part (a) has
-    no row of its own (F1, F2, G1, G2).
-    angles_deg : the unknown plies of part (b), outermost first.
-    """
-
-    specimen: str
-    constants: Mapping[str, str]
-    angles_deg: tuple[int, ...]
-
-
 @cache
-def identified_layups() -> Mapping[str, IdentifiedLayup]:
-    """Table 9 by specimen, in the order of part (b)."""
-    table = printed_table(9)
-    constants = {
-        row.specimen: {name: cell.text for name, cell in row.values.items()}
-        for row in table.rows
-        if row.part == "a" and row.source == PAPER
-    }
-    return {
-        row.specimen: IdentifiedLayup(
-            specimen=row.specimen,
-            constants=constants.get(row.specimen, {}),
-            angles_deg=row.values["angles_deg"].angles_deg,
-        )
-        for row in table.rows
-        if row.part == "b"
-    }
+def identified_layups() -> Mapping[str, PrintedValue]:
+    """The unknown plies of Table 9(b), outermost first, by specimen."""
+    return {row.specimen: row.values["angles_deg"] for row in printed_table(9).rows if row.part == "b"}
 
 
 Agreement = Literal["follows", "before rounding", "does not follow"]
@@ -337,89 +322,15 @@ TABLES: Final = {"A2": 10, "C1": 11, "C3": 12, "D1": 13, "D3": 14}
 """Specimen -> its table of constants from frequencies with added noise."""
 
 
-@dataclass(frozen=True, slots=True)
-class PrintedConstant:
-    """One row, in the digits of the print.
-
-    key : name with its unit, as in plate files.
-    free : identified from the list without noise.
-    amount, percent_error : mean over ten noisy lists and its difference from ``free``, one a level.
-    """
-
-    key: str
-    free: str
-    amount: tuple[str, ...]
-    percent_error: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class PerturbationTable:
-    """One of Tables 10 to 14.
-
-    angles_deg : the unknown plies without noise, then one sequence a level; empty where none was
-    sought. The paper sought angles and constants together.
-    """
-
-    number: int
-    specimen: str
-    levels_percent: tuple[float, ...]
-    constants: tuple[PrintedConstant, ...]
-    angles_deg: tuple[tuple[int, ...], ...]
-
-    def percent_error(self, key: str, level_percent: float) -> float | None:
-        """The printed percentage, or None where the table has no such constant or level."""
-        for row in self.constants:
-            if row.key == key and level_percent in self.levels_percent:
-                return float(row.percent_error[self.levels_percent.index(level_percent)])
-        return None
-
-
-@dataclass(frozen=True, slots=True)
-class Contradiction:
-    """A printed percentage that its own row cannot give, whatever was rounded.
-
-    lowest, highest : percentages that the printed amounts allow.
-    """
-
-    table: int
-    key: str
-    level_percent: float
-    printed: str
-    lowest: float
-    highest: float
-
-
-@cache
-def perturbation_table(specimen: str) -> PerturbationTable | None:
+def perturbation_table(specimen: str) -> PrintedTable | None:
     """The table of a built-in specimen, or None where the paper has none for it."""
-    number = TABLES.get(specimen)
-    if number is None:
-        return None
-    read = content(number)
-    angles = read.get("angles_deg")
-    return PerturbationTable(
-        number=read["table"],
-        specimen=read["specimen"],
-        levels_percent=tuple(read["levels_percent"]),
-        constants=tuple(
-            PrintedConstant(key, row["free"], tuple(row["amount"]), tuple(row["percent_error"]))
-            for key, row in read["constants"].items()
-        ),
-        angles_deg=() if angles is None else tuple(tuple(a) for a in (angles["free"], *angles["found"])),
-    )
+    return printed_table(TABLES[specimen]) if specimen in TABLES else None
 
 
-def contradictions(table: PerturbationTable) -> tuple[Contradiction, ...]:
-    """Printed percentages outside of what 100 (amount / free - 1) can be before rounding.
+def contradictions(table: PrintedTable) -> tuple[PercentageCheck, ...]:
+    """Printed percentages that their own rows cannot give, whatever was rounded.
 
-    Amount and free value may each be half a unit of their last digit off, the percentage a whole one,
-    since some were cut off and not rounded.
+    Value and reference may each be half a unit of their last digit off, the percentage a whole one, since
+    some were cut off and not rounded.
     """
-    impossible = []
-    for row in table.constants:
-        for level, amount, printed in zip(table.levels_percent, row.amount, row.percent_error, strict=True):
-            lowest, highest = possible_percent(amount, row.free, exact_reference=False)
-            unit = last_digit(printed)
-            if not lowest - unit <= float(printed) <= highest + unit:
-                impossible.append(Contradiction(table.number, row.key, level, printed, lowest, highest))
-    return tuple(impossible)
+    return tuple(check for check in _checks(table) if check.agreement == AGREEMENTS[-1])

@@ -52,7 +52,7 @@ from cpam_bayes.render.report import Report, Summary
 from cpam_bayes.render.sentences import determined_text, frequency_columns, interval_text, value_text
 from cpam_bayes.render.spectrum import line_sizes
 from cpam_bayes.result import Result, present
-from cpam_bayes.workbench.visit import Shown, Tell
+from cpam_bayes.workbench.worker import Shown, Tell
 
 _PORT: Final = 8377
 _REACH: Final = 1.959963984540054
@@ -132,7 +132,8 @@ def app(
             f"app: {error.name} is not installed, which the page needs; "
             'python -m pip install "cpam-bayes[app]"'
         ) from None
-    from cpam_bayes.workbench.visit import Desk, Material, Pool, Tasks, Visit, Worker
+    from cpam_bayes.workbench.visit import Desk, Material, Tasks, Visit
+    from cpam_bayes.workbench.worker import Pool, Worker
 
     folder, name, text = _place(plate)
     where = server.free_port(port)
@@ -333,13 +334,19 @@ def _applied(result: DiagnosisResult, specimen: Specimen) -> tuple[Any, str]:
 def reported(text: str, name: str, folder: str, *, tell: Tell) -> Any:
     """The files of ``cpam-bayes report --quick``, in a folder named after the plate file."""
     answer = report(parse_specimen(text, name, Path(folder)), quick=True, watch=Shown(tell))
-    target = Path(folder) / f"{Path(name).stem}-report"
-    if target.is_symlink():
-        raise ValueError(f"{target.name}: a link, accepted: a folder of this page")
-    answer.save(target)
-    save_tables(answer, None, str(target / "report.xlsx"))
+    target = _saved(answer, folder, f"{Path(name).stem}-report", "report.xlsx")
     files = {"page": PAGE, "json": "report.json", "xlsx": "report.xlsx"}
-    return {kind: f"{target.name}/{file}" for kind, file in files.items()}
+    return {kind: f"{target}/{file}" for kind, file in files.items()}
+
+
+def _saved(answer: Result, folder: str, name: str, workbook: str) -> str:
+    """Write the files of an answer into a folder beside the plate files; its name."""
+    target = Path(folder) / name
+    if target.is_symlink():
+        raise ValueError(f"{name}: a link, accepted: a folder of this page")
+    answer.save(target)
+    save_tables(answer, None, str(target / workbook))
+    return name
 
 
 def picked(text: str, name: str, folder: str, recording: str, *, tell: Tell) -> Any:
@@ -366,11 +373,7 @@ def listed(text: str, name: str, folder: str, *, tell: Tell) -> Any:
     files = text.split("\n")
     result = batch(*(str(Path(folder) / file) for file in files), watch=Shown(tell))
     report = result.report()
-    target = Path(folder) / "batch"
-    if target.is_symlink():
-        raise ValueError(f"{target.name}: a link, accepted: a folder of this page")
-    result.save(target)
-    save_tables(result, None, str(target / "results.xlsx"))
+    target = _saved(result, folder, "batch", "results.xlsx")
     table = report.rows[0].table("")
     return {
         "headline": report.summary.headline,
@@ -380,7 +383,7 @@ def listed(text: str, name: str, folder: str, *, tell: Tell) -> Any:
             for file, cells, row in zip(files, table.rows, result.rows, strict=True)
         ],
         "lines": [*report.summary.lines, *report.summary.warnings],
-        "page": f"{target.name}/{PAGE}",
+        "page": f"{target}/{PAGE}",
     }
 
 

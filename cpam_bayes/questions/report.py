@@ -19,6 +19,7 @@ from cpam_bayes.questions.diagnose import DiagnosisResult, diagnose
 from cpam_bayes.questions.identify import PointResult, SampledResult, answered, identify
 from cpam_bayes.questions.sequence import StackingResult, sequence
 from cpam_bayes.render.notices import sentences
+from cpam_bayes.render.plate import PLATE as PLATE_DRAWING
 from cpam_bayes.render.report import (
     COMPUTATION,
     Drawing,
@@ -200,8 +201,6 @@ def _each_once(texts: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(texts))
 
 
-_PLATE: Final = "plate"
-"""Name of the drawing of the plate, which the parts share."""
 _RIGHT: Final = "If nothing is wrong"
 _HOLDS: Final = "Here plate and list are taken as right: these are not the constants of the answer."
 
@@ -224,10 +223,10 @@ def _present(result: FullReport) -> Report:
         replace(section, figures=tuple(_figure_name(name, figure) for figure in section.figures))
         for name, shown in answers.items()
         for section in shown.sections
-        if name == result.diagnosis.command or _PLATE not in section.figures
+        if name == result.diagnosis.command or PLATE_DRAWING not in section.figures
     ]
     # the plate first, what is folded last
-    behind.sort(key=lambda section: (_PLATE not in section.figures, section.folded))
+    behind.sort(key=lambda section: (PLATE_DRAWING not in section.figures, section.folded))
     return Report(
         summary=_summary(result, main.summary, [shown.summary for shown in answers.values()]),
         sections=(*_all_rows(result), *behind, *_if_right(alone, parts[alone])),
@@ -289,7 +288,7 @@ def _all_rows(result: FullReport) -> tuple[Section, ...]:
 def _if_right(name: str, shown: Report) -> tuple[Section, ...]:
     """The identification as one section, and how it was computed."""
     summary = shown.summary
-    parts = [section for section in shown.sections if _PLATE not in section.figures]
+    parts = [section for section in shown.sections if PLATE_DRAWING not in section.figures]
     computed = tuple(section for section in parts if section.title == COMPUTATION)
     behind = [section for section in parts if section.title != COMPUTATION]
     said = (_HOLDS, *summary.headline.splitlines(), *summary.lines, *summary.slips, *summary.warnings)
@@ -309,7 +308,7 @@ def _if_right(name: str, shown: Report) -> tuple[Section, ...]:
 
 def _figure_name(command: str, name: str) -> str:
     """The name of a part's figure, of which there is one in all parts."""
-    return name if name == _PLATE else f"{command}_{name}"
+    return name if name == PLATE_DRAWING else f"{command}_{name}"
 
 
 def _named_rows(parts: Mapping[str, Report], main: str) -> tuple[Rows, ...]:

@@ -38,11 +38,11 @@ from cpam_bayes.printed.noise_study import (
     level_percent,
     model_list,
     noise_study,
-    printed_table,
+    own_table,
     sensitivity_notices,
 )
 from cpam_bayes.printed.repetition import INTERPRETATIONS, Interpretation
-from cpam_bayes.printed.tables import PerturbationTable, contradictions, perturbation_table
+from cpam_bayes.printed.tables import PrintedTable, contradictions
 from cpam_bayes.render.noise_study import (
     COMPARED,
     PLACE,
@@ -90,7 +90,7 @@ class SensitivityResult(PlateResult):
     command: ClassVar[str] = "sensitivity"
 
     study: Sensitivity
-    table: PerturbationTable | None
+    table: PrintedTable | None
 
     @property
     def status(self) -> str:
@@ -192,7 +192,7 @@ def sensitivity(
         specimen=specimen,
         air_shifts=air_shifts(specimen),
         study=study,
-        table=printed_table(study, perturbation_table(specimen.name)),
+        table=own_table(specimen),
     )
 
 
@@ -399,14 +399,16 @@ def _cell_keys(rows: tuple[ComparedRow, ...]) -> dict[str, Any]:
     }
 
 
-def _paper_keys(table: PerturbationTable) -> dict[str, Any]:
+def _paper_keys(table: PrintedTable) -> dict[str, Any]:
     return {
         "table": table.number,
-        "angles_deg": [list(angles) for angles in table.angles_deg],
+        "angles_deg": [
+            list(row.values["angles_deg"].angles_deg) for row in table.rows if "angles_deg" in row.values
+        ],
         "contradictions": [
             {
-                "constant": c.key,
-                "level_percent": c.level_percent,
+                "constant": c.column,
+                "level_percent": c.row.level_percent,
                 "printed_percent": float(c.printed),
                 "possible_percent": [c.lowest, c.highest],
             }

@@ -11,7 +11,7 @@ import numpy as np
 from cpam_bayes.answer import Constant, FrequencyRow, Notice, Reliance
 from cpam_bayes.command import EXECUTOR, TIME_LIMIT, WORKERS, Command, option, whole
 from cpam_bayes.errors import checked
-from cpam_bayes.formatting import decimals_of, fixed, probable, signed, significant
+from cpam_bayes.formatting import decimals_of, fixed, probable, significant
 from cpam_bayes.forward_model.known_errors import ScaleError, absorbed
 from cpam_bayes.forward_model.model import air_shifts, with_references
 from cpam_bayes.forward_model.preconditions import (
@@ -35,7 +35,6 @@ from cpam_bayes.printed.tables import identified_layups
 from cpam_bayes.render.plate import plate_section
 from cpam_bayes.render.report import (
     COMPUTATION,
-    Column,
     Report,
     Rows,
     Section,
@@ -54,6 +53,7 @@ from cpam_bayes.render.sentences import (
     plate_argument,
     references_said,
     reliance_sentences,
+    residual_columns,
 )
 from cpam_bayes.render.stacking import (
     FIRST_SCREEN,
@@ -457,21 +457,11 @@ def _reliance(result: StackingResult, told: Sequence[str]) -> tuple[str, ...]:
 def _frequencies(result: StackingResult) -> Rows:
     """The list beside the most probable sequence."""
     measured = result.answer.conditional.template.measurement.frequencies
-    decimals = decimals_of(measured)
     rows = tuple(
         FrequencyRow(float(f), None if np.isnan(p) else float(p))
         for f, p in zip(measured, result.fit.predicted, strict=True)
     )
-
-    def percent(row: FrequencyRow) -> float | None:
-        return None if row.residual is None else 100.0 * row.residual
-
-    columns = (
-        Column("measured Hz", "measured_hz", lambda f: f.measured, lambda v: fixed(v, decimals), True),
-        Column("predicted Hz", "predicted_hz", lambda f: f.predicted, lambda v: fixed(v, decimals + 1), True),
-        Column("residual %", "residual_percent", percent, lambda v: signed(v, 2), True),
-    )
-    return Rows("frequencies", columns, rows)
+    return Rows("frequencies", residual_columns(rows), rows)
 
 
 def _missed(result: StackingResult) -> Table:

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 _DPI = 150
 # One meaning a colour, in all figures: what was measured; what the model of the answer says; what the plain
-# model says, before anything was found; what was known before, priors and references; what is in doubt.
-MEASURED, PREDICTED, BEFORE, REFERENCE, DOUBTFUL = "#333333", "#c1440e", "#4878a8", "#8a8a8a", "#d9a400"
+# model says, before anything was found; what was known before, priors and references.
+MEASURED, PREDICTED, BEFORE, REFERENCE = "#333333", "#c1440e", "#4878a8", "#8a8a8a"
 
 
 def new_figure(width: float, height: float) -> Figure:

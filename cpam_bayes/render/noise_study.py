@@ -12,7 +12,7 @@ from cpam_bayes.formatting import fixed, signed, significant, with_spread
 from cpam_bayes.plate import to_user, unit_of, user_name
 from cpam_bayes.printed.noise_study import Cell, Sensitivity, level_percent
 from cpam_bayes.printed.repetition import Cause, Comparison
-from cpam_bayes.printed.tables import PerturbationTable, contradictions
+from cpam_bayes.printed.tables import PrintedTable, contradictions
 from cpam_bayes.render.figures import new_figure
 from cpam_bayes.render.report import Column
 
@@ -30,7 +30,7 @@ class ComparedRow(NamedTuple):
     study: Sensitivity
     cell: Cell
     i: int
-    table: PerturbationTable | None
+    table: PrintedTable | None
 
     @property
     def name(self) -> str:
@@ -186,7 +186,7 @@ def _reason(row: ComparedRow, cause: Cause) -> str:
     return values[cause]
 
 
-def beside_paper(study: Sensitivity, table: PerturbationTable | None) -> tuple[str, ...]:
+def beside_paper(study: Sensitivity, table: PrintedTable | None) -> tuple[str, ...]:
     """The printed percentages beside the scatter of a mean of ten, and what is odd about them."""
     if table is None:
         return ()
@@ -194,7 +194,7 @@ def beside_paper(study: Sensitivity, table: PerturbationTable | None) -> tuple[s
     sentences = [
         f"Table {table.number}: noise on the measured list, errors against the paper's own noise-free answer."
     ]
-    if table.angles_deg:
+    if "angles_deg" in table.columns:
         sentences.append("The paper sought the ply angles too; here the layup is known.")
     for reading in dict.fromkeys(cell.reading for cell in study.cells):
         rows = [
@@ -210,8 +210,8 @@ def beside_paper(study: Sensitivity, table: PerturbationTable | None) -> tuple[s
                 "chance alone gives about 1."
             )
     sentences += [
-        f"{c.key} at {c.level_percent:g} %: the printed {c.printed} % does not follow from its row, whose "
-        f"amounts allow {c.lowest:.1f} to {c.highest:.1f} %."
+        f"{c.column} at {c.row.level_percent:g} %: the printed {c.printed} % does not follow from its row, "
+        f"whose amounts allow {c.lowest:.1f} to {c.highest:.1f} %."
         for c in contradictions(table)
     ]
     return tuple(sentences)

@@ -296,13 +296,6 @@ def _search_model(facts: Facts) -> str:
     )
 
 
-def _poor_fit(facts: Facts) -> str:
-    return (
-        f"The best fit of mode {facts['mode']} is {100.0 * facts['residual']:+.1f} % off. Do not trust the "
-        "constants before the plate, the edges and the order of the list are checked."
-    )
-
-
 def _constraint(constraint: Constraint) -> str:
     """A constraint with its material, and what lifts it."""
     text = f"{constraint.text} of {constraint.of}" if constraint.of else constraint.text
@@ -323,12 +316,8 @@ def _soft_core(facts: Facts) -> str:
     return f"{begun}, and identified moduli too high by up to twice as much."
 
 
-def _unexplained_by_none(facts: Facts) -> str:
-    noise = "any believable repeatability" if facts["inferred"] else "the stated repeatability"
-    return (
-        f"The residuals are larger than {noise} explains (p = {facts['p']:.2g}), and no cause is more "
-        "probable than none."
-    )
+def _repeatability(facts: Facts) -> str:
+    return "any believable repeatability" if facts["inferred"] else "the stated repeatability"
 
 
 # Of diagnoses.
@@ -374,14 +363,6 @@ def _sequence_at_bounds(facts: Facts) -> str:
 def _chains_of(facts: Facts) -> str:
     number = facts["number"]
     return "The chains of the given sequence" if number is None else f"The chains of sequence {number}"
-
-
-def _one_layup_taken(facts: Facts) -> str:
-    angles = "/".join(f"{a:g}" for a in facts["angles_deg"])
-    return (
-        f"Constants and diagnosis assume the stacking sequence {angles}, whose probability with its images "
-        f"is {facts['probability']:.2g}."
-    )
 
 
 # Of noise studies.
@@ -495,6 +476,7 @@ def _time_up(facts: Facts) -> str:
 _WAYS: Final[Mapping[str, Callable[[Any], str]]] = {
     "Hz": _hz,
     "all": _names,
+    "angles": lambda angles: "/".join(f"{a:g}" for a in angles),
     "commas": ", ".join,
     "constraint": _constraint,
     "hits": _hits,
@@ -502,6 +484,7 @@ _WAYS: Final[Mapping[str, Callable[[Any], str]]] = {
     "semicolons": "; ".join,
     "sentence": capitalised,
     "short percent": _short_percent,
+    "signed percent": lambda fraction: f"{100.0 * fraction:+.1f} %",
     "two digits": lambda value: significant(value, 2),
     "whole percent": lambda fraction: f"{100.0 * fraction:.0f} %",
 }
@@ -512,6 +495,7 @@ _PHRASES: Final[Mapping[str, Callable[[Facts], str]]] = {
     "chains": _chains_of,
     "check": _check_layup,
     "of_plate": _of_plate,
+    "repeatability": _repeatability,
 }
 """Parts of several sentences that need more than one fact."""
 
@@ -553,7 +537,10 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     ),
     "common_factor": _common_factor,
     "search_model": _search_model,
-    "poor_fit": _poor_fit,
+    "poor_fit": (
+        "The best fit of mode {mode} is {residual:signed percent} off. Do not trust the constants before the "
+        "plate, the edges and the order of the list are checked."
+    ),
     "optimum_on_constraint": "The best constants lie on the constraint {constraint:constraint}",
     "cut_posterior": "The posterior is cut by the constraint {constraint:constraint}",
     "solver_error": (
@@ -579,7 +566,10 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
         "The residuals are larger than the stated noise explains (p = {p:.3f}): the plate model lacks "
         "something, or the noise is larger."
     ),
-    "unexplained_by_none": _unexplained_by_none,
+    "unexplained_by_none": (
+        "The residuals are larger than {repeatability} explains (p = {p:.2g}), and no cause is more probable "
+        "than none."
+    ),
     "unexplained_by_claim": "The claimed cause does not explain all of the residuals (p = {p:.2g}).",
     "single_frequencies": (
         "Single frequencies decide the claim: it holds in {stable:whole percent} of the cases when one is "
@@ -622,7 +612,10 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "sequence_disagrees": (
         "{chains} and importance sampling differ by {z:.1f} standard errors in a mean or an sd."
     ),
-    "one_layup_taken": _one_layup_taken,
+    "one_layup_taken": (
+        "Constants and diagnosis assume the stacking sequence {angles_deg:angles}, whose probability with "
+        "its images is {probability:.2g}."
+    ),
     "misfit_beside_noise": (
         "Without added noise the plate model misses this list by {misfit:percent} (rms), more than the "
         "noise of {level:short percent}. --list model studies the noise alone."

@@ -131,7 +131,17 @@ def constant_details(
 
 
 def frequency_columns(rows: Sequence[FrequencyRow]) -> tuple[Column, ...]:
-    """Mode, label, kind, measured and predicted frequency, residual; as many decimals as were measured."""
+    """Mode, label, kind, measured and predicted frequency, residual."""
+    return (
+        Column("mode", None, lambda row: row.number or None, number=True),
+        Column("label", "label", lambda row: row.label),
+        Column("kind", "kind", lambda row: row.kind),
+        *residual_columns(rows),
+    )
+
+
+def residual_columns(rows: Sequence[FrequencyRow]) -> tuple[Column, ...]:
+    """Measured and predicted frequency, residual; as many decimals as were measured."""
     decimals = decimals_of(row.measured for row in rows if row.measured is not None)
 
     def finer(f: float) -> str:
@@ -141,9 +151,6 @@ def frequency_columns(rows: Sequence[FrequencyRow]) -> tuple[Column, ...]:
         return None if row.residual is None else 100.0 * row.residual
 
     return (
-        Column("mode", None, lambda row: row.number or None, number=True),
-        Column("label", "label", lambda row: row.label),
-        Column("kind", "kind", lambda row: row.kind),
         Column("measured Hz", "measured_hz", lambda row: row.measured, lambda f: fixed(f, decimals), True),
         Column("predicted Hz", "predicted_hz", lambda row: row.predicted, finer, True),
         Column("residual %", "residual_percent", residual, lambda r: signed(r, 2), True),

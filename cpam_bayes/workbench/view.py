@@ -13,11 +13,10 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from cpam_bayes.errors import LayupError
-from cpam_bayes.plate.checks import SOURCES
 from cpam_bayes.plate.edges import CONDITIONS, PLACES
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.workbench.plate_text import as_typed, sensors_in, value_at
-from cpam_bayes.workbench.visit import Visit, Work
+from cpam_bayes.workbench.visit import LIST_FILES, Visit, Work
 
 _EDGES: Final = {letter: CONDITIONS[letter].name for letter in "FSC"}
 _SIZES: Final = (
@@ -26,7 +25,6 @@ _SIZES: Final = (
     ("plate.thickness_mm", "Thickness", "mm"),
     ("plate.mass_g", "Mass, weighed", "g"),
 )
-_SOURCES: Final = ("measurement.picked_from", *(f"measurement.{key}" for key in SOURCES[1:]))
 _CONSTANTS: Final = (("E1_GPa", "GPa"), ("E2_GPa", "GPa"), ("nu12", ""), ("G12_GPa", "GPa"))
 _DOING: Final = {
     "pick": "Looking for modes in the recording",
@@ -118,8 +116,8 @@ def _form(visit: Visit) -> str:
             resolution=as_typed(sections["measurement"].get("resolution_hz")),
             air=as_typed(sections["environment"].get("air_density_kg_m3")),
             rows=visit.rows,
-            source=next((_names(n) for k in _SOURCES if (n := value_at(data, k))), ""),
-            is_typed=not any(value_at(data, key) for key in _SOURCES[1:]),
+            source=next((_names(n) for k in LIST_FILES if (n := value_at(data, k))), ""),
+            is_typed=not any(value_at(data, key) for key in LIST_FILES[1:]),
             sensors=sensors_in(data),
         )
     )

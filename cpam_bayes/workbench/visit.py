@@ -1,32 +1,23 @@
-"""A visit: one plate file on one page, its undo, its draft on disk, and what is computed after an edit.
-
-Computations are in processes of their own, which can be ended at any moment. A process is kept for the next
-one; one that was ended is replaced when it is needed.
-"""
+"""A visit: one plate file on one page, its undo, its draft on disk, and what is computed after an edit."""
 
 from __future__ import annotations
 
 import asyncio
 import json
-import multiprocessing
 import os
 import re
 import secrets
-import signal
 import time
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
-from contextlib import asynccontextmanager, contextmanager, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate import MAX_BYTES, Specimen, parse_specimen
 from cpam_bayes.plate.checks import SOURCES
 from cpam_bayes.plate.text import decode, read_regular_file
-from cpam_bayes.render.terminal import Clock
-from cpam_bayes.running import Described, Progress
 from cpam_bayes.storage import replaceable, write_whole
 from cpam_bayes.workbench.plate_text import (
     FIELDS,
@@ -43,182 +34,19 @@ from cpam_bayes.workbench.plate_text import (
     with_sensors,
     with_value,
 )
-
-Tell: TypeAlias = Callable[..., None]
-"""Is told the fraction that is done, negative where not known, what is being done, and shares so far."""
-
-
-Task: TypeAlias = Callable[..., Any]
-"""A function of a module, called in another process with plain data and ``tell``, a `Tell`.
-
-It raises ``ValueError`` for what the user can mend.
-"""
-
-
-class RefusedError(Exception):
-    """A computation's problems, one each, for which there is no answer."""
-
-    def __init__(self, *problems: str) -> None:
-        super().__init__(*problems)
-
-
-class Shown:
-    """A watch (`cpam_bayes.running`) whose stages are told as fractions."""
-
-    def __init__(self, tell: Tell) -> None:
-        self._tell = tell
-
-    def announce(self, text: str) -> None:
-        """Tell what begins."""
-        self._tell(-1.0, text)
-
-    promise = announce
-
-    @contextmanager
-    def stage(
-        self, title: str, total: int, described: Described | None = None, counted: str = ""
-    ) -> Iterator[Progress]:
-        """Tell how far one stage is, and how long the rest takes."""
-        clock = Clock(total)
-
-        def tick(done: int, value: float) -> None:
-            self._tell(min(done / total, 1.0) if total else -1.0, title + clock.left(done))
-
-        tick(0, 0.0)
-        yield Progress(
-            tick,
-            lambda text: self._tell(-1.0, text),
-            lambda shares: self._tell(-1.0, title, shares),
-        )
-
-
-def _serve(pipe: Connection) -> None:
-    """Compute what comes down the pipe until it is closed."""
-    with suppress(AttributeError, OSError):
-        os.setsid()  # Ctrl-C at the terminal is for the server, which then ends this process and its children
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    while True:
-        try:
-            task, args = pipe.recv()
-        except (EOFError, OSError):
-            return
-        try:
-            said = ("done", task(*args, tell=lambda *said: pipe.send(("progress", said))))
-        except (ValueError, RuntimeError) as error:
-            said = ("refused", tuple(getattr(error, "problems", (str(error),))))
-        pipe.send(said)
-
-
-class Worker:
-    """One process at most, made when it is first needed.
-
-    patience : seconds for which a task that was given up may go on before its process is ended; a process
-        that stays has its models, so that short work is answered sooner after a short wait
-    """
-
-    def __init__(self, patience: float = 0.0) -> None:
-        self._patience = patience
-        self._process: Any = None
-        self._pipe: Connection | None = None
-        self._turn = asyncio.Lock()
-        self._given_up: asyncio.Future[tuple[str, Any]] | None = None
-
-    async def run(self, task: Task, *args: Any, tell: Tell = lambda *said: None) -> Any:
-        """The answer of a task, which is given up if this call is cancelled.
-
-        Raises ``RefusedError`` with what the task refused, or that its process was lost.
-        """
-        async with self._turn:
-            while self._given_up is not None:
-                await asyncio.wait({self._given_up}, timeout=max(self._patience, 0.05))
-                if self._given_up.done():
-                    self._given_up = None
-                else:
-                    self.stop()
-            work = asyncio.ensure_future(self._answered(task, args, tell))
-            try:
-                kind, said = await asyncio.shield(work)
-            except asyncio.CancelledError:
-                self._given_up = work
-                if not self._patience:
-                    self.stop()
-                raise
-        if kind == "refused":
-            raise RefusedError(*said)
-        return said
-
-    async def _answered(self, task: Task, args: tuple[Any, ...], tell: Tell) -> tuple[str, Any]:
-        try:
-            await asyncio.to_thread(self._send, task, args)
-            while True:
-                assert self._pipe is not None
-                kind, said = await asyncio.to_thread(self._pipe.recv)
-                if kind != "progress":
-                    return kind, said
-                if self._given_up is None:
-                    tell(*said)
-        except (EOFError, OSError):
-            self.stop()
-            return "refused", ("the computation was lost; change a value to begin again",)
-
-    def _send(self, task: Task, args: tuple[Any, ...]) -> None:
-        if self._process is None or not self._process.is_alive():
-            context = multiprocessing.get_context("spawn")
-            self._pipe, theirs = context.Pipe()
-            self._process = context.Process(target=_serve, args=(theirs,), name="cpam-bayes app")
-            self._process.start()
-            theirs.close()
-        assert self._pipe is not None
-        self._pipe.send((task, args))
-
-    def stop(self) -> None:
-        """End the process and those that it began."""
-        process, self._process = self._process, None
-        if process is not None and process.is_alive():
-            with suppress(OSError, AttributeError):
-                if os.getpgid(process.pid) == process.pid:
-                    os.killpg(process.pid, signal.SIGKILL)
-            process.kill()
-
-
-class Pool:
-    """Workers that long computations of all visits share; one that finds none free waits."""
-
-    def __init__(self, size: int) -> None:
-        self._workers = [Worker() for _ in range(size)]
-        self._free: asyncio.Queue[Worker] = asyncio.Queue()
-        for worker in self._workers:
-            self._free.put_nowait(worker)
-
-    @asynccontextmanager
-    async def worker(self) -> AsyncIterator[Worker]:
-        """A worker that nobody else uses."""
-        taken = await self._free.get()
-        try:
-            yield taken
-        finally:
-            self._free.put_nowait(taken)
-
-    def stop(self) -> None:
-        """End all."""
-        for worker in self._workers:
-            worker.stop()
-
+from cpam_bayes.workbench.worker import Pool, RefusedError, Task, Worker
 
 DRAFTS: Final = ".cpam-bayes"
 """Folder of unsaved work beside the plate files."""
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+&-]{0,79}\.toml")
 _VISIT: Final = re.compile(r"[0-9a-f]{16}")
-_MOST_TYPED, _MOST_UNDO, _MOST_DRAFTS, _MOST_VISITS, _MOST_LISTED = 20_000, 100, 50, 100, 200
+_MOST_TYPED, _MOST_UNDO, _MOST_DRAFTS, _MOST_LISTED = 20_000, 100, 50, 200
 # Seconds within which edits of one field are one step of undo.
 _ONE_EDIT: Final = 3.0
-# Keys of a plate file that name another file.
-_PATHS: Final = (
-    "plate.mesh",
-    "material.posterior",
-    "measurement.picked_from",
-    *(f"measurement.{key}" for key in SOURCES[1:]),
-)
+LIST_FILES: Final = ("measurement.picked_from", *(f"measurement.{key}" for key in SOURCES[1:]))
+"""Keys of a plate file that name the file with its list."""
+# All that name another file.
+_PATHS: Final = ("plate.mesh", "material.posterior", *LIST_FILES)
 _EDGES: Final = "FSC"
 _DROPPED: Final = re.compile(
     r"[A-Za-z0-9][A-Za-z0-9 ._+&()-]{0,79}\.(csv|txt|xlsx|unv|uff|wav)", re.IGNORECASE

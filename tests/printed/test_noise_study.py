@@ -190,9 +190,6 @@ SHORT = {
 }
 
 
-LEVELS: list[tuple[float, ...]] = [(), (0.0,), (0.51,), (float("nan"),)]
-
-
 @pytest.fixture(scope="module")
 def plate() -> Specimen:
     return model_list(read_specimen("A1"), 6)
@@ -257,18 +254,3 @@ def test_workers_do_not_change_a_bit(plate: Specimen, study: Sensitivity) -> Non
     with open_executor("processes", 2) as executor:
         shared_out = noise_study(plate, 7, source="model", levels=(0.01, 0.05), executor=executor, **SHORT)  # type: ignore[arg-type]
     assert equal(shared_out, study)
-
-
-@pytest.mark.parametrize(
-    ("asked", "said"),
-    [
-        *(({"levels": v}, "levels of noise: received .* accepted: above 0, at most 0.5") for v in LEVELS),
-        ({"groups": 1}, "groups: received 1, accepted: 2 or more"),
-        ({"source": "measured"}, "a list without gaps is needed"),
-    ],
-)
-def test_what_cannot_be_studied_is_refused(plate: Specimen, asked: dict[str, Any], said: str) -> None:
-    assert plate.measurement is not None
-    gaps = replace(plate, measurement=replace(plate.measurement, complete=False))
-    with pytest.raises(ValueError, match=said):
-        noise_study(gaps, 0, **{"source": "model", **asked})

@@ -10,8 +10,8 @@ from cpam_bayes.printed.tables import (
     PAPER,
     TABLES,
     WITHOUT_NOISE,
-    PrintedConstant,
     PrintedRow,
+    PrintedValue,
     content,
     contradictions,
     identified_layups,
@@ -157,10 +157,10 @@ SPECIMENS = ("A2", "C1", "C3", "D1", "D3")
 @pytest.mark.parametrize("name", CASES)
 def test_a_case_has_the_plies_and_constants_of_its_specimen_but_for_one_ply_of_f1_and_f2(name: str) -> None:
     found, specimen = identified_layups()[name], builtin(name, sequence=True)
-    assert found.specimen == name
     assert len(found.angles_deg) == specimen.plate.layup.n_unknown
     constants = [] if name[0] in "FG" else [user_name(n) for n in specimen.unknowns.names]
-    assert list(found.constants) == constants
+    own = [r for r in printed_table(9).rows if (r.specimen, r.source, r.part) == (name, PAPER, "a")]
+    assert [list(row.values) for row in own] == ([constants] if constants else [])
     true = builtin(name).plate.layup.angles_deg[: len(found.angles_deg)].tolist()
     wrong = {i: a for i, (a, b) in enumerate(zip(found.angles_deg, true, strict=True)) if a != b}
     assert wrong == {"F1": {5: 85}, "F2": {4: 50}}.get(name, {})
@@ -169,19 +169,23 @@ def test_a_case_has_the_plies_and_constants_of_its_specimen_but_for_one_ply_of_f
 @pytest.mark.parametrize("name", SPECIMENS)
 def test_a_table_has_the_unknowns_of_its_specimen_at_three_levels(name: str) -> None:
     table = perturbation_table(name)
-    assert table.specimen == name
-    assert table.levels_percent == (1.0, 5.0, 10.0)
-    assert [row.key for row in table.constants] == [user_name(n) for n in builtin(name).unknowns.names]
-    for row in table.constants:
-        assert len(row.amount) == len(row.percent_error) == 3
+    assert {row.specimen for row in table.rows} == {name}
+    assert [row.level_percent for row in table.rows] == [None, 1.0, 5.0, 10.0]
+    constants = [user_name(n) for n in builtin(name).unknowns.names]
     unknown_plies = builtin(name, sequence=True).plate.layup.n_unknown
-    assert {len(angles) for angles in table.angles_deg} == ({unknown_plies} if unknown_plies else set())
+    for row in table.rows:
+        assert list(row.values) == [*constants, *(["angles_deg"] if unknown_plies else [])]
+        assert all(bool(row.values[key].percent) is (row.level_percent is not None) for key in constants)
+        if unknown_plies:
+            assert len(row.values["angles_deg"].angles_deg) == unknown_plies
 
 
 def test_one_printed_percentage_does_not_follow_from_its_row() -> None:
     found = [c for name in SPECIMENS if (t := perturbation_table(name)) for c in contradictions(t)]
     # 10.4 / 9.86 - 1 is 5.5 %, and 4.9 to 6.1 % before both were rounded
-    assert [(c.table, c.key, c.level_percent, c.printed) for c in found] == [(13, "E2_GPa", 10.0, "7.41")]
+    assert [(c.table, c.column, c.row.level_percent, c.printed) for c in found] == [
+        (13, "E2_GPa", 10.0, "7.41")
+    ]
     assert found[0].lowest == pytest.approx(100 * (10.35 / 9.865 - 1))
     assert found[0].highest == pytest.approx(100 * (10.45 / 9.855 - 1))
 
@@ -193,5 +197,6 @@ def test_a_contradiction_begins_one_printed_digit_beyond_rounding(printed: str, 
     table = perturbation_table("C1")
     assert table is not None
     # 2.0 over 1.0, each half a digit off: 1.95 / 1.05 - 1 to 2.05 / 0.95 - 1, so 85.71 to 115.79 %
-    row = PrintedConstant("nu12", "1.0", ("2.0",), (printed,))
-    assert (contradictions(replace(table, levels_percent=(1.0,), constants=(row,))) == ()) is possible
+    cells = {WITHOUT_NOISE: PrintedValue("1.0"), "1 % disorder": PrintedValue("2.0", printed)}
+    rows = tuple(PrintedRow("", "C1", source, "identified", {"nu12": cell}) for source, cell in cells.items())
+    assert (contradictions(replace(table, rows=rows)) == ()) is possible

@@ -11,7 +11,7 @@ from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.parameters import ParameterSet, TruncatedNormal
 from cpam_bayes.plate import builtin
-from cpam_bayes.printed.noise_study import Cell, Repetition, Sensitivity, printed_table, sensitivity_notices
+from cpam_bayes.printed.noise_study import Cell, Repetition, Sensitivity, own_table, sensitivity_notices
 from cpam_bayes.printed.repetition import Comparison, PosteriorSummary
 from cpam_bayes.printed.tables import perturbation_table
 from cpam_bayes.questions import sensitivity
@@ -116,12 +116,9 @@ def test_the_document_has_the_keys_of_the_contract_in_the_units_of_the_names(stu
 
 
 def test_the_paper_stands_beside_its_own_specimen_only(study, aluminium):
-    table = perturbation_table("A2")
-    assert printed_table(aluminium, table) is table
-    assert printed_table(study, table) is None
-    other = replace(aluminium, specimen=replace(aluminium.specimen, source="A2.toml"))
-    assert printed_table(other, table) is None
-    assert printed_table(aluminium, None) is None
+    assert own_table(aluminium.specimen) is perturbation_table("A2")
+    assert own_table(study.specimen) is None
+    assert own_table(replace(aluminium.specimen, source="A2.toml")) is None
 
 
 def test_printed_percentages_are_measured_in_standard_errors_of_a_mean_of_ten(aluminium):

@@ -14,7 +14,8 @@ from starlette.testclient import TestClient
 
 from cpam_bayes.workbench.server import application
 from cpam_bayes.workbench.view import folder_news
-from cpam_bayes.workbench.visit import DRAFTS, Shown, Work, Worker
+from cpam_bayes.workbench.visit import DRAFTS, Work
+from cpam_bayes.workbench.worker import Shown, Worker
 from tests.quick_page import EXAMPLE, desk_of, echo
 
 TOKEN, PORT = "the-token-of-this-page", 8377

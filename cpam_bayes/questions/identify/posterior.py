@@ -5,25 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from cpam_bayes.answer import Constant, FrequencyRow
 from cpam_bayes.formatting import NOT_KNOWN, fixed, listed, signed, significant, with_spread
 from cpam_bayes.identification.point import BY_DATA, BY_PRIOR
 from cpam_bayes.inference.assessment import MOVED, Combination, MovedBound
 from cpam_bayes.inference.completeness import Profile
-from cpam_bayes.plate import to_user, user_name
-from cpam_bayes.questions.identify.emcee import Marginal, SampledResult
-from cpam_bayes.questions.identify.slips import slip_records
+from cpam_bayes.plate import to_user
+from cpam_bayes.questions.identify.emcee import SampledResult
+from cpam_bayes.questions.identify.posterior_document import LeftOut, ListedMode, sampled_document
 from cpam_bayes.render.figures import new_figure
 from cpam_bayes.render.plate import (
     assurance_drawings,
     assurance_sections,
     measured_modes,
     plate_section,
-    shape_keys,
 )
 from cpam_bayes.render.posterior import Draws, marginals_figure, pairs_figure
 from cpam_bayes.render.report import (
@@ -38,7 +36,6 @@ from cpam_bayes.render.report import (
     Table,
     facts,
     laminate_unit,
-    plate_keys,
     remarks,
 )
 from cpam_bayes.render.sentences import (
@@ -71,8 +68,6 @@ if TYPE_CHECKING:
 _MAX_DISTANCE_SD: Final = 3.0
 # Smaller exponents are left out of a product.
 _SMALL: Final = 0.05
-# Keys of the document that say how well the evidence is known.
-_EVIDENCE: Final = ("standard_error", "effective_size", "k_hat", "status", "exact_fraction")
 # Diagnoses that a reader must not overlook.
 _DOUBTFUL: Final = ("prior and data disagree", "prior is strong, likelihood weak", "likelihood is weak")
 # Shift of a mean, in sd, from which moving a bound is worth telling.
@@ -81,26 +76,6 @@ _TOLD: Final = 0.1
 _ROUNDING: Final = 1e-9
 
 _BLUE, _GREY, _ORANGE = "#4878a8", "#808080", "#c1440e"
-
-
-class _LeftOut(NamedTuple):
-    """A frequency predicted from all the others.
-
-    residual : predicted / measured - 1. sd : of prediction and noise together, relative. leverage : fraction
-    of the frequency in its own prediction. standardised : the residual in standard deviations.
-    """
-
-    residual: float
-    sd: float
-    leverage: float
-    standardised: float
-
-
-class _Mode(NamedTuple):
-    """A measured frequency, or a mode that the list lacks, with what the other frequencies predict for it."""
-
-    row: FrequencyRow
-    left_out: _LeftOut | None
 
 
 @present.register
@@ -175,7 +150,7 @@ def _present(result: SampledResult) -> Report:
             further_steps(steps[1:]),
             Section(COMPUTATION, (_chains(result),)),
         ),
-        document=_document(result, modes) | peak_keys(peaks),
+        document=sampled_document(result, modes) | peak_keys(peaks),
         drawings=(*_drawings(result, modes), *peak_drawings(specimen, peaks)),
         rows=(constant_rows(constants), modes, *((peaks,) if peaks.rows else ())),
     )
@@ -234,7 +209,7 @@ def _modes(result: SampledResult) -> Rows:
     """The measured frequencies and the modes that the list lacks."""
     rows, left = result.frequencies, result.assessment.left_out
     others = iter(
-        _LeftOut(-float(r / f), float(sd / f), float(leverage), float(standardised))
+        LeftOut(-float(r / f), float(sd / f), float(leverage), float(standardised))
         for r, sd, leverage, standardised, f in zip(
             left.residual,
             left.sd,
@@ -244,8 +219,8 @@ def _modes(result: SampledResult) -> Rows:
             strict=True,
         )
     )
-    shown = [_Mode(row, None if row.predicted is None else next(others)) for row in rows]
-    shown += [_Mode(row, None) for row in result.missed]
+    shown = [ListedMode(row, None if row.predicted is None else next(others)) for row in rows]
+    shown += [ListedMode(row, None) for row in result.missed]
 
     def percent(name: str) -> Any:
         return lambda m: None if m.left_out is None else 100.0 * getattr(m.left_out, name)
@@ -271,11 +246,11 @@ def _modes(result: SampledResult) -> Rows:
     return Rows("frequencies", columns, tuple(shown), _is_far)
 
 
-def _is_far(m: _Mode) -> bool:
+def _is_far(m: ListedMode) -> bool:
     return m.left_out is not None and abs(m.left_out.standardised) > _MAX_DISTANCE_SD
 
 
-def _place(of_peaks: bool, m: _Mode) -> str | None:
+def _place(of_peaks: bool, m: ListedMode) -> str | None:
     if m.row.measured is None:
         return f"no {_MEASURED[of_peaks][0]}"
     if m.row.predicted is None:
@@ -462,165 +437,6 @@ def _evidence(result: SampledResult) -> str:
     return f"{value} ({sizes}; {exact}){'' if e.status == 'reliable' else ': NOT reliable'}"
 
 
-def _document(result: SampledResult, modes: Rows) -> dict[str, Any]:
-    """The JSON document of `identify` by sampling."""
-    noise = result.noise
-    return {
-        **plate_keys(result.command, result.seed, result.specimen),
-        "backend": "emcee",
-        "status": result.result.status,
-        "constants": _marginals(result, result.constants),
-        "nuisance": _marginals(result, result.sizes),
-        "noise": None if noise is None else {"name": user_name(noise[0]), **_quantiles(noise[1], 1.0)},
-        "degrees_of_freedom": result.posterior.degrees_of_freedom,
-        "frequencies": [
-            {**keys, "left_out": _left_out_keys(m)}
-            for m, keys in zip(modes.rows, modes.records(), strict=True)
-            if m.row.measured is not None
-        ],
-        "missed_modes": [
-            {"predicted_hz": m.predicted, "kind": m.kind, "label": m.label} for m in result.missed
-        ],
-        **shape_keys(result.by_shape, result.posterior.measurement),
-        "posterior_predictive_p_value": result.p_value,
-        "leave_one_out": _leave_one_out(result),
-        "log_evidence": result.evidence.log_evidence,
-        "evidence": {key: getattr(result.evidence, key) for key in _EVIDENCE},
-        "identifiability": {"combinations": _combinations(result), "profiles": _profiles(result)},
-        "power_scaling": {
-            user_name(s.name): {
-                "prior": s.prior,
-                "noise_prior": s.noise_prior,
-                "likelihood": s.likelihood,
-                "diagnosis": s.diagnosis,
-            }
-            for s in result.assessment.power_scaling
-        },
-        "bounds_moved": _bounds_moved(result),
-        "explained_by": slip_records(result.explained_by),
-        "relative_error_estimate": float(np.max(result.error)),
-        "laminate": {
-            laminate_unit(name)[0]: {
-                "value": mean * laminate_unit(name)[1],
-                "sd": sd * laminate_unit(name)[1],
-            }
-            for name, (mean, sd) in result.laminate.items()
-        },
-        "diagnostics": _diagnostics(result),
-        "air_density_kg_m3": result.specimen.air_density,
-        "forward_solves": result.forward_solves,
-        "seconds": result.seconds,
-        "warnings": list(result.warnings),
-        "notes": list(result.specimen.notes),
-    }
-
-
-def _quantiles(m: Marginal, factor: float) -> dict[str, float]:
-    return {key: factor * float(getattr(m, key)) for key in ("mean", "sd", "q025", "median", "q975")}
-
-
-def _marginals(result: SampledResult, constants: Mapping[str, Constant]) -> dict[str, Any]:
-    return {user_name(name): _marginal(c, result.marginals[name]) for name, c in constants.items()}
-
-
-def _marginal(c: Constant, m: Marginal) -> dict[str, Any]:
-    prior = c.prior.describe(partial(to_user, c.name))
-    return {
-        **_quantiles(m, to_user(c.name, 1.0)),
-        "prior": {"kind": prior.kind, "mean": prior.mean, "sd": prior.sd},
-        "prior_contraction": m.contraction,
-        "share_at_lower_bound": m.at_lower,
-        "share_at_upper_bound": m.at_upper,
-        "bound": m.bound,
-        "lower": prior.lower,
-        "upper": prior.upper,
-        "verdict": c.verdict.value,
-        "reference": to_user(c.name, c.reference),
-    }
-
-
-def _left_out_keys(m: _Mode) -> dict[str, float] | None:
-    if m.left_out is None:
-        return None
-    return {
-        "residual_percent": 100.0 * m.left_out.residual,
-        "sd_percent": 100.0 * m.left_out.sd,
-        "leverage": m.left_out.leverage,
-    }
-
-
-def _leave_one_out(result: SampledResult) -> dict[str, Any]:
-    importance = result.assessment.importance
-    psis = None
-    if importance is not None:
-        psis = {
-            "reliable": importance.reliable,
-            "k_hat": importance.k_hat.tolist(),
-            "log_score": importance.log_score if importance.reliable else None,
-            "standard_error": importance.standard_error if importance.reliable else None,
-        }
-    left_out = result.assessment.left_out
-    return {"log_score": left_out.log_score, "basis": left_out.basis, "psis": psis}
-
-
-def _combinations(result: SampledResult) -> list[dict[str, Any]]:
-    names = [user_name(name) for name in result.posterior.model.parameters.names]
-    return [
-        {
-            "exponents": dict(zip(names, c.exponents.tolist(), strict=True)),
-            "singular_value": c.singular_value,
-            "sd_percent_by_data": 100.0 * c.noise_sd,
-            "sd_percent_by_prior": 100.0 * c.prior_sd,
-            "contraction": c.contraction,
-        }
-        for c in result.assessment.combinations
-    ]
-
-
-def _profiles(result: SampledResult) -> dict[str, Any]:
-    profiles = {}
-    for p in result.assessment.profiles:
-        profiles[user_name(p.name)] = {
-            "values": [to_user(p.name, float(v)) for v in p.values],
-            "drop": p.drop.tolist(),
-            "best": to_user(p.name, p.best),
-            "lower_95": to_user(p.name, p.lower),
-            "upper_95": to_user(p.name, p.upper),
-            "lower_open": p.lower_open,
-            "upper_open": p.upper_open,
-            "parts": p.parts,
-        }
-    return profiles
-
-
-def _bounds_moved(result: SampledResult) -> list[dict[str, Any]]:
-    names = [user_name(name) for name in result.posterior.parameters.names]
-    return [
-        {
-            "constant": user_name(m.name),
-            "bound": m.bound,
-            "share_cut": m.cut,
-            "shift_in_sd": dict(zip(names, m.shift.tolist(), strict=True)),
-        }
-        for m in result.assessment.moved_bounds
-    ]
-
-
-def _diagnostics(result: SampledResult) -> dict[str, Any]:
-    d = result.result.diagnostics
-    return {
-        "r_hat": d.r_hat,
-        "ess_bulk": d.ess_bulk,
-        "autocorrelation_time": d.autocorrelation_time,
-        "converged": d.converged,
-        "steps": d.steps,
-        "burn_in": d.burn_in,
-        "ess_per_second": result.ess_per_second,
-        "ess_per_second_in_all": d.ess_bulk / result.seconds,
-        "seconds_sampling": result.seconds_sampling,
-    }
-
-
 def _drawings(result: SampledResult, modes: Rows) -> tuple[Drawing, ...]:
     """Marginals first, then pairs, modes left out, mode shapes."""
     constants = listed([p.name for p in result.assessment.profiles], "and")
@@ -685,7 +501,7 @@ def _draws(result: SampledResult) -> Draws:
 
 def _left_out_figure(result: SampledResult, modes: Rows) -> Figure:
     """Each frequency against the posterior and against what the other modes predict; its leverage."""
-    rows: list[_Mode] = [m for m in modes.rows if m.left_out is not None]
+    rows: list[ListedMode] = [m for m in modes.rows if m.left_out is not None]
     names = [f"{m.row.number}\n{m.row.label}" for m in rows]
     x = np.arange(len(rows))
     figure = new_figure(max(5.8, 0.8 * len(rows)), 4.8)

@@ -9,7 +9,7 @@ import shutil
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -38,12 +38,9 @@ from cpam_bayes.questions.paper.rows import (
     TWO,
     VERDICTS,
     Computed,
-    Cost,
-    Misfit,
+    Record,
     Results,
     Row,
-    SimulationError,
-    WellPosed,
     constant_rows,
     disagreements,
     frequency_rows,
@@ -59,6 +56,7 @@ from cpam_bayes.questions.paper.work import (
     calculix_frequencies,
     comes_with_the_package,
     diagnoses,
+    hadamard,
     packaged,
     read,
     sequence_cases,
@@ -127,7 +125,7 @@ class PaperResult(Result):
     ----------
     numbers : of the tables
     rows : one for each printed value
-    misfits : of the printed constants, beside ours
+    misfits : of the printed constants, beside ours; as in the JSON document, and so are the three next
     well_posed : Hadamard's conditions, one for each plate and choice of unknowns
     simulation_errors : what the simulation of Tables 1 and 5 gets wrong, by plate
     costs : forward solves and seconds, one for each plate and choice of unknowns
@@ -140,10 +138,10 @@ class PaperResult(Result):
 
     numbers: tuple[int, ...]
     rows: tuple[Row, ...]
-    misfits: tuple[Misfit, ...]
-    well_posed: tuple[WellPosed, ...] = ()
-    simulation_errors: tuple[SimulationError, ...] = ()
-    costs: tuple[Cost, ...] = ()
+    misfits: tuple[Record, ...]
+    well_posed: tuple[Record, ...] = ()
+    simulation_errors: tuple[Record, ...] = ()
+    costs: tuple[Record, ...] = ()
     computed: Mapping[str, Mapping[str, str | float]]
     quick: bool
     seconds: float
@@ -351,47 +349,45 @@ def _by_table(computed: Mapping[Task, Results], key: str) -> Iterator[tuple[Task
     return ((task, results) for task, results in ordered if key in results)
 
 
-def _well_posed(computed: Mapping[Task, Results], sequences: Mapping[str, Any]) -> Iterator[WellPosed]:
+def _well_posed(computed: Mapping[Task, Results], sequences: Mapping[str, Any]) -> Iterator[Record]:
+    repeatability = 100.0 * float(REPEATABILITY_PRIOR.ppf(0.975))
     for task, results in _by_table(computed, "well_posed"):
         stored = sequences["cases"].get(task.specimen) if task.table == 9 else None
-        yield WellPosed(
-            table=task.table,
-            specimen=task.specimen,
-            case=task.case,
-            repeatability_percent=100.0 * float(REPEATABILITY_PRIOR.ppf(0.975)),
-            layups=None if stored is None else stored["credible_95_count"],
-            **results["well_posed"],
-        )
+        layups = None if stored is None else stored["credible_95_count"]
+        yield hadamard(task, results["well_posed"], layups, repeatability)
 
 
-def _costs(computed: Mapping[Task, Results], calculix: Mapping[str, Any]) -> Iterator[Cost]:
+def _costs(computed: Mapping[Task, Results], calculix: Mapping[str, Any]) -> Iterator[Record]:
+    """Forward solves and their time, beside that of as many runs of CalculiX one after another."""
     for task, results in _by_table(computed, "forward_solves"):
-        yield Cost(
-            task.specimen,
-            task.case,
-            results["forward_solves"],
-            results["seconds"],
-            calculix["seconds_each"].get(task.specimen),
-        )
+        each = calculix["seconds_each"].get(task.specimen)
+        yield {
+            "specimen": task.specimen,
+            "case": task.case,
+            "forward_solves": results["forward_solves"],
+            "seconds": results["seconds"],
+            "calculix_seconds": each,
+            "calculix_hours": None if each is None else results["forward_solves"] * each / 3600.0,
+        }
 
 
-def _misfits(computed: Mapping[Task, Results]) -> Iterator[Misfit]:
+def _misfits(computed: Mapping[Task, Results]) -> Iterator[Record]:
     for task, results in _by_table(computed, "printed"):
         for printed in results["printed"]:
-            yield Misfit(
-                table=task.table,
-                specimen=task.specimen,
-                case=task.case,
-                source=printed["source"],
-                objective=printed["objective"],
-                rms_percent=printed["rms_percent"],
-                our_objective=results["objective"],
-                our_rms_percent=results["rms_percent"],
-                swarms=results["swarms"],
-                swarms_found=results["swarms_found"],
-                swarms_converged=results["swarms_converged"],
-                on_bounds=tuple(k for k, c in results["constants"].items() if c["bound"] is not None),
-            )
+            yield {
+                "table": task.table,
+                "specimen": task.specimen,
+                "case": task.case,
+                "source": printed["source"],
+                "objective": printed["objective"],
+                "rms_percent": printed["rms_percent"],
+                "our_objective": results["objective"],
+                "our_rms_percent": results["rms_percent"],
+                "swarms": results["swarms"],
+                "swarms_found": results["swarms_found"],
+                "swarms_converged": results["swarms_converged"],
+                "on_bounds": [k for k, c in results["constants"].items() if c["bound"] is not None],
+            }
 
 
 def _slow(numbers: Sequence[int]) -> tuple[str, ...]:
@@ -443,11 +439,11 @@ def _document(result: PaperResult) -> dict[str, Any]:
                 }
                 for check in checks
             ],
-            "misfits": [asdict(misfit) for misfit in result.misfits],
+            "misfits": list(result.misfits),
         },
-        "hadamard": [{**asdict(w), "exists": w.exists, "unique": w.is_unique} for w in result.well_posed],
-        "simulation": [asdict(error) for error in result.simulation_errors],
-        "costs": [{**asdict(cost), "calculix_hours": cost.calculix_hours} for cost in result.costs],
+        "hadamard": list(result.well_posed),
+        "simulation": list(result.simulation_errors),
+        "costs": list(result.costs),
         "computed": {task: dict(record) for task, record in result.computed.items()},
         "seconds": result.seconds,
         "warnings": list(result.warnings),

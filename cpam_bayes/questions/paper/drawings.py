@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -18,15 +17,13 @@ from cpam_bayes.questions.paper.rows import (
     UNDETERMINED,
     UNTOLD,
     WITHIN,
+    Record,
 )
 from cpam_bayes.render.figures import new_figure
 from cpam_bayes.render.report import Caption, Drawing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-Record = Mapping[str, Any]
-"""A row of the JSON document."""
 
 OF_THE_PAPER: Final = (PAPER, f"{PAPER}, two constants")
 """Sources of the paper's own constants."""

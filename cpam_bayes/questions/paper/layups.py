@@ -61,8 +61,9 @@ def layup_case(result: StackingResult) -> dict[str, Any]:
 
 def _levels(table: int) -> Iterator[tuple[float, PrintedRow]]:
     """Levels of noise, %, of Tables 10 to 14, with the printed row of each."""
-    for row in printed_table(table).rows[1:]:
-        yield float(row.source.split()[0]), row
+    for row in printed_table(table).rows:
+        if row.level_percent is not None:
+            yield row.level_percent, row
 
 
 def _perturbed(measured: Array, level: float, seed: int, groups: int) -> tuple[Array, Array]:

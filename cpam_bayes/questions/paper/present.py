@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from cpam_bayes.formatting import listed, signed, significant
 from cpam_bayes.printed.tables import AGREEMENTS
-from cpam_bayes.questions.paper.drawings import OF_THE_PAPER, Record, drawings
+from cpam_bayes.questions.paper.drawings import OF_THE_PAPER, drawings
 from cpam_bayes.questions.paper.rows import (
     AGREES,
     BUILT_IN,
@@ -23,6 +23,7 @@ from cpam_bayes.questions.paper.rows import (
     UNTOLD,
     VERDICTS,
     WITHIN,
+    Record,
 )
 from cpam_bayes.render.report import (
     COMPUTATION,

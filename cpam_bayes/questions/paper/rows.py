@@ -35,6 +35,8 @@ VERDICTS: Final[tuple[Verdict, ...]] = get_args(Verdict)
 AGREES, WITHIN, UNTOLD, UNDETERMINED, NOT_REPRODUCIBLE, NOT_COMPUTED, INPUT = VERDICTS
 Results = dict[str, Any]
 """Plain data of one finished computation."""
+Record = Mapping[str, Any]
+"""A row of the JSON document, whose keys `cpam_bayes.documents` declares."""
 Computed = Mapping[tuple[str, str, str], Results]
 """Kind, specimen and case of a task -> its results."""
 
@@ -75,119 +77,6 @@ class Row:
     verdict: Verdict
     reason: str = ""
     details: Mapping[str, float | None] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class Misfit:
-    """A printed set of constants and ours against the same frequencies; forward solves only.
-
-    objective : F of eq. (7), Hz^2. rms_percent : root mean square of the relative residuals.
-    case : "as built in", "two constants" or "four constants".
-    swarms_found : how many of the swarms ended within 0.1 % of the least F.
-    swarms_converged : how many of them called themselves converged.
-    on_bounds : constants of ours that sit on a bound.
-    """
-
-    table: int
-    specimen: str
-    case: str
-    source: str
-    objective: float
-    rms_percent: float
-    our_objective: float
-    our_rms_percent: float
-    swarms: int
-    swarms_found: int
-    swarms_converged: int
-    on_bounds: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class WellPosed:
-    """Hadamard's conditions for the constants of a plate from its measured frequencies, at the best optimum.
-
-    Existence
-        left_percent : root of the residual sum of squares over the degrees of freedom, of relative residuals;
-        None where there are none. repeatability_percent : 97.5 % quantile of what a tap test repeats within.
-    Uniqueness
-        rank, condition : of the sensitivities d ln f / d ln x; condition is None where the rank is not full.
-        optima : that the misfit does not tell apart, the best one among them. layups : stacking sequences in
-        the 95 % set where angles are unknown too, None where that was not computed.
-    Stability
-        percent_per_percent : name -> sd of a constant, %, for 1 % of noise on each frequency, to first order
-        and without bounds; None where the rank is not full.
-    """
-
-    table: int
-    specimen: str
-    case: str
-    frequencies: int
-    unknowns: int
-    left_percent: float | None
-    repeatability_percent: float
-    rank: int
-    condition: float | None
-    optima: int
-    layups: int | None
-    percent_per_percent: Mapping[str, float | None]
-
-    @property
-    def exists(self) -> bool | None:
-        """Whether what is left is within the repeatability of a tap test; None where nothing can be left."""
-        return None if self.left_percent is None else self.left_percent <= self.repeatability_percent
-
-    @property
-    def is_unique(self) -> bool:
-        """Whether the sensitivities have full rank and no other optimum, or layup, fits as well."""
-        return self.rank == self.unknowns and self.optima == 1 and self.layups in (None, 1)
-
-
-@dataclass(frozen=True, slots=True)
-class SimulationError:
-    """The error of the simulation of Table 5, or 1, on a plate, by the diagnosis of its measured list.
-
-    printed_rms_percent : of the printed simulation, with the reference constants, against the measured list;
-        None where none is printed
-    plain_rms_percent, extended_rms_percent : of the plain model with its own constants, and extended by what
-        is claimed; None where nothing is
-    claim, sentence, causes, probability : of the diagnosis
-    sizes : mean, sd and unit of what is claimed, by name
-    log_bayes_factor : of what is claimed against the plain model. held_out, held_out_se : log predictive
-        density of frequencies left out, less the plain model's, and its standard error
-    """
-
-    table: int
-    specimen: str
-    printed_rms_percent: float | None
-    plain_rms_percent: float
-    claim: str
-    sentence: str
-    causes: tuple[str, ...]
-    sizes: Mapping[str, Mapping[str, Any]]
-    probability: float
-    extended_rms_percent: float | None
-    log_bayes_factor: float | None
-    held_out: float | None
-    held_out_se: float | None
-
-
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """Forward solves of a plate's optimum, single swarms and posterior, and their wall time.
-
-    calculix_seconds : of one run of CalculiX on that plate, None where none was timed.
-    """
-
-    specimen: str
-    case: str
-    forward_solves: int
-    seconds: float
-    calculix_seconds: float | None
-
-    @property
-    def calculix_hours(self) -> float | None:
-        """The time of as many runs of CalculiX one after another."""
-        return None if self.calculix_seconds is None else self.forward_solves * self.calculix_seconds / 3600.0
 
 
 def input_rows(table: PrintedTable) -> Iterator[Row]:
@@ -364,10 +253,10 @@ def row_of(
     )
 
 
-def disagreements(rows: Sequence[Row], misfits: Sequence[Misfit]) -> tuple[str, ...]:
+def disagreements(rows: Sequence[Row], misfits: Sequence[Record]) -> tuple[str, ...]:
     """The most important disagreements in words, as far as their tables were computed."""
     # misfits of Table 9 are computed for Tables 11 to 14 as well
-    own = [m for m in misfits if m.table == 9] if any(row.table == 9 for row in rows) else []
+    own = [m for m in misfits if m["table"] == 9] if any(row.table == 9 for row in rows) else []
     return tuple(filter(None, (_frequencies_off(rows), _own_misfit(own), _undetermined(rows))))
 
 
@@ -394,20 +283,20 @@ def _frequencies_off(rows: Sequence[Row]) -> str:
     )
 
 
-def _own_misfit(misfits: Sequence[Misfit]) -> str:
+def _own_misfit(misfits: Sequence[Record]) -> str:
     """The specimens whose printed constants miss their own frequencies; misfits : of Table 9."""
-    identified = [m for m in misfits if m.source == PAPER]
+    identified = [m for m in misfits if m["source"] == PAPER]
     if not identified:
         return ""
-    worst = max(identified, key=lambda m: m.rms_percent)
-    far = sorted(m.specimen for m in identified if m.rms_percent > _FAR)
-    ten = sum(m.objective > 10.0 * m.our_objective for m in identified)
+    worst = max(identified, key=lambda m: float(m["rms_percent"]))
+    far = sorted(m["specimen"] for m in identified if m["rms_percent"] > _FAR)
+    ten = sum(m["objective"] > 10.0 * m["our_objective"] for m in identified)
     above = f"above {_FAR:g} % for {', '.join(far)}" if far else f"below {_FAR:g} % for all"
     return (
         f"Table 9(a): the printed constants miss their plates' own frequencies, rms {above}; worst "
-        f"{worst.specimen}, {worst.rms_percent:.3g} %, where the best fit within the bounds leaves "
-        f"{worst.our_rms_percent:.3g} %. Their F, eq. (7), is more than ten times the least one for {ten} of "
-        f"{len(identified)} plates."
+        f"{worst['specimen']}, {worst['rms_percent']:.3g} %, where the best fit within the bounds leaves "
+        f"{worst['our_rms_percent']:.3g} %. Their F, eq. (7), is more than ten times the least one for "
+        f"{ten} of {len(identified)} plates."
     )
 
 

@@ -42,7 +42,7 @@ from cpam_bayes.questions.paper.layups import (
     searched_without_noise,
     weighed,
 )
-from cpam_bayes.questions.paper.rows import FOUR, TWO, Results, SimulationError
+from cpam_bayes.questions.paper.rows import FOUR, TWO, Record, Results
 from cpam_bayes.questions.sensitivity import sensitivity
 from cpam_bayes.questions.sequence import sequence
 from cpam_bayes.running import Watch
@@ -148,7 +148,7 @@ def well_posed(point: PointResult) -> dict[str, Any]:
     }
 
 
-def simulation_errors(number: int, diagnosed: Mapping[str, Any]) -> Iterator[SimulationError]:
+def simulation_errors(number: int, diagnosed: Mapping[str, Any]) -> Iterator[Record]:
     """Errors of Table 1's ABAQUS frequencies, or of Table 4 beside Table 5; none of another table.
 
     A misprinted frequency is left out of the rms.
@@ -163,12 +163,7 @@ def simulation_errors(number: int, diagnosed: Mapping[str, Any]) -> Iterator[Sim
         stored = diagnosed["plates"].get(name)
         if stored is not None:
             rms = _rms_percent(printed[name]) if name in printed else None
-            yield SimulationError(
-                table=number,
-                specimen=name,
-                printed_rms_percent=rms,
-                **{**stored, "causes": tuple(stored["causes"])},
-            )
+            yield {"table": number, "specimen": name, "printed_rms_percent": rms, **stored}
 
 
 def _rms_percent(row: PrintedRow) -> float:
@@ -401,22 +396,40 @@ def _noise(effort: Effort, task: Task) -> Results:
     }
 
 
-def _searched(effort: Effort, task: Task) -> Results:
-    return searched(task.specimen, task.table, task.seed, effort.groups, effort.swarm)
-
-
-def _weighed(effort: Effort, task: Task) -> Results:
-    del effort
-    return weighed(task.specimen, task.table, task.seed)
-
-
 _DONE_BY: Final[Mapping[Kind, Callable[[Effort, Task], Results]]] = {
     "forward": _forward,
     "constants": _constants,
     "noise": _noise,
-    "angles": _searched,
-    "layups": _weighed,
+    "angles": lambda effort, task: searched(
+        task.specimen, task.table, task.seed, effort.groups, effort.swarm
+    ),
+    "layups": lambda effort, task: weighed(task.specimen, task.table, task.seed),
 }
+
+
+def hadamard(task: Task, found: Results, layups: int | None, repeatability_percent: float) -> Record:
+    """Existence and uniqueness by what `well_posed` found.
+
+    layups : stacking sequences in the 95 % set where angles are unknown too, None where not computed
+    repeatability_percent : 97.5 % quantile of what a tap test repeats within
+    """
+    left = found["left_percent"]
+    return {
+        "table": task.table,
+        "specimen": task.specimen,
+        "case": task.case,
+        "frequencies": found["frequencies"],
+        "unknowns": found["unknowns"],
+        "left_percent": left,
+        "repeatability_percent": repeatability_percent,
+        "rank": found["rank"],
+        "condition": found["condition"],
+        "optima": found["optima"],
+        "layups": layups,
+        "percent_per_percent": found["percent_per_percent"],
+        "exists": None if left is None else left <= repeatability_percent,
+        "unique": found["rank"] == found["unknowns"] and found["optima"] == 1 and layups in (None, 1),
+    }
 
 
 def task_key(effort: Effort, task: Task) -> str:

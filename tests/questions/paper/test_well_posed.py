@@ -1,7 +1,6 @@
 """Hadamard's conditions made concrete: against closed forms."""
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,8 +8,7 @@ import pytest
 
 import cpam_bayes as cb
 from cpam_bayes.printed.tables import printed_table
-from cpam_bayes.questions.paper.rows import WellPosed
-from cpam_bayes.questions.paper.work import simulation_errors, well_posed
+from cpam_bayes.questions.paper.work import Task, hadamard, simulation_errors, well_posed
 from tests.plate_file import described
 
 REFERENCE_GPA = 70.0
@@ -48,13 +46,17 @@ def test_two_constants_that_all_frequencies_see_alike_are_ill_conditioned(freque
 
 
 def test_existence_needs_a_misfit_within_the_repeatability_and_uniqueness_one_optimum() -> None:
-    posed = WellPosed(9, "C1", "as built in", 6, 4, 0.5, 0.9, 4, 10.0, 1, None, {})
-    assert posed.exists
-    assert posed.is_unique
-    assert not replace(posed, left_percent=1.0).exists
-    assert replace(posed, left_percent=None).exists is None
-    for change in ({"rank": 3}, {"optima": 2}, {"layups": 3130}):
-        assert not replace(posed, **change).is_unique  # type: ignore[arg-type]
+    posed = {"frequencies": 6, "unknowns": 4, "left_percent": 0.5, "rank": 4, "condition": 10.0, "optima": 1}
+
+    def found(layups: int | None = None, **change: Any) -> Any:
+        known = {**posed, "percent_per_percent": {}, **change}
+        return hadamard(Task("constants", "C1", "as built in", 9, 0), known, layups, 0.9)
+
+    assert found()["exists"]
+    assert found()["unique"]
+    assert not found(left_percent=1.0)["exists"]
+    assert found(left_percent=None)["exists"] is None
+    assert not any(one["unique"] for one in (found(rank=3), found(optima=2), found(layups=3130)))
 
 
 def test_the_printed_simulation_is_held_against_the_measured_list() -> None:
@@ -74,6 +76,6 @@ def test_the_printed_simulation_is_held_against_the_measured_list() -> None:
     printed = np.array([float(v.text) for v in printed_table(5).row("A1", "ABAQUS").values.values()])
     measured = cb.read_plate("A1").measurement
     off = printed / measured.frequencies - 1.0
-    assert error.printed_rms_percent == pytest.approx(100.0 * float(np.sqrt(np.mean(off**2))))
-    assert error.causes == ("warp",)
+    assert error["printed_rms_percent"] == pytest.approx(100.0 * float(np.sqrt(np.mean(off**2))))
+    assert error["causes"] == ["warp"]
     assert list(simulation_errors(9, {"plates": {"A1": answer}})) == []
