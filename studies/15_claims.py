@@ -2,6 +2,7 @@
 
 python studies/15_claims.py [--seal] [--make SET ...] [--answer SET ...] [--methods SET ...]
     [--engine NAME=TREE] [--workers N] [--minutes M] [--only TEXT] [--limit N] [--quick]
+python studies/15_claims.py --score FILE [--of SET]
 
 A list is a plate file with its truth, one JSON line in studies/data/claims/SET.jsonl: "id", "file", "truth".
 The set "development" is to look at. The set "sealed" is to judge: --seal draws its seed when the code is
@@ -12,9 +13,9 @@ there are become results, and the section of docs/hidden_effects.md.
 --methods adds what users do instead, each with a threshold to abstain that is chosen on the set "development"
 for the diagnosis's own rate of wrong claims there; --engine NAME=TREE asks another version of the package.
 
-A method of your own is scored in the same way: write one JSON line a list with "id" and the keys of
-`cpam-bayes diagnose --json` into studies/data/claims/answers/sealed_NAME.jsonl and run the study without
-options.
+--score prints the scores of a method of your own beside ours on the same lists, and writes nothing. FILE
+holds an answer a line, see validation/claims/own_method.py. The method takes the "file" of a list alone: its
+"id" and its "truth" tell what is hidden.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from pathlib import Path
 from typing import Any
 
 import cpam_bayes as cb
-from validation.claims import answering, references, scoring, seal, sets
+from validation.claims import answering, own_method, references, scoring, seal, sets
 from validation.reporting import paragraph, save_results, write_sections
 
 Results = dict[str, Any]
@@ -200,6 +201,18 @@ def refer(name: str, minutes: float | None, limit: int | None) -> None:
         print(name, entry["id"], flush=True)
 
 
+def scores_beside_ours(name: str, path: Path) -> str:
+    """What is said of a method's own answers to a set; AnswerError for a file of none."""
+    entries = answering.asked(data_path(name))
+    own = own_method.read(path, {entry["id"] for entry in entries})
+    ours = answering.answered(answers_path(name, THIS))
+    both = [entry for entry in entries if entry["id"] in own and entry["id"] in ours]
+    records = (scoring.scored(both, answers) for answers in (own, ours))
+    left = len(own) - len(both)
+    others = f"\n\n{left} of its answers are to lists that the diagnosis has not answered." if left else ""
+    return f"{own_method.table(path.stem, *records)}{others}"
+
+
 def sections(results: Results) -> dict[str, str]:
     """What docs/hidden_effects.md says of each set, and README of the sealed one."""
     found = {}
@@ -238,7 +251,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--minutes", type=float)
     parser.add_argument("--only", default="")
     parser.add_argument("--limit", type=int)
+    parser.add_argument("--score", type=Path, metavar="FILE", help="score these answers of another method")
+    parser.add_argument("--of", choices=NAMES_OF_SETS, default=SEALED, help="the set that they are of")
     args = parser.parse_args(arguments)
+    if args.score:
+        try:
+            print(scores_beside_ours(args.of, args.score))
+        except (own_method.AnswerError, OSError) as error:
+            parser.error(str(error))
+        return
     engine, tree = args.engine.split("=", 1)
     if args.seal:
         print(json.dumps(seal.draw(SEAL, HERE.parent), indent=1))

@@ -64,7 +64,7 @@ def score(truth: Record, answer: Record) -> Scored:
     right = {RIGHT: True, OTHER: causes == {"other"}, NONE: True}.get(str(category), False)
     if claim == "other" and not causes:
         category = WRONG
-    out |= {"claim": claim, "claimed": sorted(named), "probability": answer["probability"]}
+    out |= {"claim": claim, "claimed": sorted(named), "probability": answer.get("probability")}
     return out | {
         "category": category,
         "right": right,
@@ -118,7 +118,7 @@ def scored(lists: Iterable[Record], answers: Mapping[str, Record]) -> list[Score
 # Detection limits
 
 # Units of limits over those of hidden sizes, which are SI and degrees.
-_OF_LIMIT = {
+OF_LIMIT = {
     "%": 1e2,
     "% of the area": 1e2,
     "mm": 1e3,
@@ -145,7 +145,7 @@ def above_limit(entry: Record, answer: Record) -> bool | None:
     if size is None or limit is None:
         return None
     smallest, unit = limit
-    return smallest is not None and bool(_OF_LIMIT[unit] * size >= smallest)
+    return smallest is not None and bool(OF_LIMIT[unit] * size >= smallest)
 
 
 def hidden_size(entry: Record) -> float | None:
@@ -194,8 +194,8 @@ def confusion(records: Sequence[Scored], by: Callable[[Scored], str]) -> list[Re
 
 
 def honesty(records: Sequence[Scored], claims: Sequence[str]) -> Record:
-    """Mean stated probability of claims, less how often they are right, with its standard error."""
-    chosen = [r for r in records if r.get("claim") in claims]
+    """Mean stated probability of claims that state one, less how often they are right, with its error."""
+    chosen = [r for r in records if r.get("claim") in claims and r["probability"] is not None]
     if not chosen:
         return {"lists": 0, "difference": None, "standard_error": None}
     p = np.array([min(r["probability"], 1.0) for r in chosen])
