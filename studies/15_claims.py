@@ -35,8 +35,9 @@ from pathlib import Path
 from typing import Any
 
 import cpam_bayes as cb
-from validation.claims import answering, own_method, references, scoring, seal, sets
-from validation.reporting import paragraph, save_results, write_sections
+from validation.claims import answering, own_method, references, scoring, seal, sets, telling
+from validation.fingerprints import KEY, fingerprint_of_study
+from validation.reporting import save_results, write_sections
 
 Results = dict[str, Any]
 
@@ -50,8 +51,9 @@ KEYS = {
     "seal": "of the sealed set: commit of the code, date, seed, predictions, SHA-256 of the lists",
     "lists": "by set: how many there are",
     "unreachable": "by set: lists that could not be made, and why",
+    "engines": "by set, the states of the code that answered, each with its figures",
     "sets": "by set, of the diagnosis: figures, confusion of claims and more",
-    "thresholds": "wrong claims of the diagnosis on lists for development, and thresholds of methods by them",
+    "thresholds": "wrong claims of the diagnosis on lists for development, by whom, and thresholds by them",
     "beside": "by set, on the lists that all engines and methods answered: figures and confusion of each",
 }
 
@@ -103,6 +105,7 @@ def _results(quick: bool, found: dict[str, tuple[list[Results], dict[str, dict[s
     tuned = _tuned(*found.get(DEVELOPMENT, ([], {})))
     said: Results = {}
     beside: Results = {}
+    states: list[Results] = []
     for name, (entries, engines) in found.items():
         if THIS not in engines:
             continue
@@ -113,6 +116,7 @@ def _results(quick: bool, found: dict[str, tuple[list[Results], dict[str, dict[s
                 answers = references.abstaining(answers, tuned["methods"][engine]["threshold"])
             scores[engine] = scoring.scored(entries, answers)
         said[name] = scoring.summary(scores[THIS])
+        states += [{"set": name, **row} for row in scoring.by_engine(scores[THIS])]
         both = set.intersection(*({r["id"] for r in records} for records in scores.values()))
         of_both = {e: scoring.summary([r for r in s if r["id"] in both]) for e, s in scores.items()}
         brief = {engine: {key: own[key] for key in BRIEF} for engine, own in of_both.items()}
@@ -125,6 +129,7 @@ def _results(quick: bool, found: dict[str, tuple[list[Results], dict[str, dict[s
             name: [{"id": r["id"], "why": r["unreachable"]} for r in entries if "unreachable" in r]
             for name, (entries, _) in found.items()
         },
+        "engines": states,
         "sets": said,
         "thresholds": tuned,
         "beside": beside,
@@ -133,8 +138,8 @@ def _results(quick: bool, found: dict[str, tuple[list[Results], dict[str, dict[s
 
 def _tuned(entries: list[Results], engines: dict[str, dict[str, Results]]) -> Results:
     """Thresholds of the methods for the rate of wrong claims that the diagnosis has on its lists of a set."""
-    categories = [r["category"] for r in scoring.scored(entries, engines.get(THIS, {}))]
-    rate = categories.count(scoring.WRONG), len(categories)
+    ours = scoring.scored(entries, engines.get(THIS, {}))
+    rate = sum(r["category"] == scoring.WRONG for r in ours), len(ours)
     methods = {
         m: references.threshold(
             scoring.scored(entries, engines[m]), {k: a["statistic"] for k, a in engines[m].items()}, rate
@@ -142,7 +147,8 @@ def _tuned(entries: list[Results], engines: dict[str, dict[str, Results]]) -> Re
         for m in references.METHODS
         if m in engines
     }
-    return {"rate": list(rate), "methods": methods}
+    by = [row["commit"] for row in scoring.by_engine(ours)]
+    return {"rate": list(rate), "answered_by": by, "methods": methods}
 
 
 def make(name: str, workers: int) -> None:
@@ -170,7 +176,7 @@ def answer(
     path = answers_path(name, engine)
     path.parent.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, answering.__file__, str(data_path(name)), str(path), "--only", only]
-    command += ["--record", json.dumps(seal.provenance(tree))]
+    command += ["--record", json.dumps(_provenance(tree))]
     command += [] if limit is None else ["--limit", str(limit)]
     command += [] if minutes is None else ["--minutes", str(minutes)]
     environment = {**os.environ, "PYTHONPATH": str(tree), "OPENBLAS_NUM_THREADS": "1"}
@@ -178,6 +184,12 @@ def answer(
     running = [subprocess.Popen(part, env=environment) for part in parts]
     for process in running:
         process.wait()
+
+
+def _provenance(tree: Path) -> Results:
+    """What each answer keeps: commit and date, and of this tree the fingerprint of today's code."""
+    own = {KEY: fingerprint_of_study(RESULTS.stem)} if tree.resolve() == HERE.parent.resolve() else {}
+    return {**seal.provenance(tree), **own}
 
 
 def refer(name: str, minutes: float | None, limit: int | None) -> None:
@@ -218,10 +230,12 @@ def sections(results: Results) -> dict[str, str]:
     found = {}
     for name, scores in results["sets"].items():
         total, beside = results["lists"][name], results["beside"][name]
-        others = scoring.compared(beside, results["thresholds"], NAMES) if len(beside["engines"]) > 1 else []
-        found[name] = scoring.section(total, scores, others, results["seal"] if name == SEALED else None)
-        if name == SEALED:
-            found["in short"] = paragraph(scoring.in_short(total, scores), "- ")
+        states = [row for row in results["engines"] if row["set"] == name]
+        others = telling.compared(beside, results["thresholds"], NAMES) if len(beside["engines"]) > 1 else []
+        sealed = results["seal"] if name == SEALED else None
+        found[name] = telling.section(total, scores, states, others, sealed)
+        if sealed is not None:
+            found["in short"] = telling.in_short(total, scores, sealed)
     return found
 
 
