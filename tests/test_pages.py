@@ -248,6 +248,15 @@ def test_results_that_are_of_no_study_have_no_fingerprint(ledger: Path, tmp_path
     assert not ledger.exists()
 
 
+def test_the_fingerprint_of_a_study_is_taken_when_it_is_started() -> None:
+    sizes = []
+    for script_name in (f"{STUDY}.py", "write_pages.py"):
+        fingerprint_of_study.cache_clear()
+        fingerprints.remember(PROJECT / "studies" / script_name)
+        sizes.append(fingerprint_of_study.cache_info().currsize)
+    assert sizes == [1, 0]
+
+
 def test_a_study_depends_on_what_it_takes_from_validation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
+import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -31,10 +32,19 @@ _OF_NOTHING: Final = hashlib.sha256().hexdigest()[:12]
 
 @cache
 def fingerprint_of_study(name: str) -> str:
-    """Of the package's sources that a study uses today, by itself and through `validation`, joined by "+"."""
+    """Of the package's sources that a study uses, by itself and through `validation`, joined by "+".
+
+    They are read once: sources that are changed while a study runs are not those that compute it.
+    """
     scripts = _scripts(STUDIES / f"{name}.py")
     found = {fingerprint_of_script(script, cpam_bayes._PUBLIC) for script in scripts}
     return "+".join(sorted(found - {_OF_NOTHING}))
+
+
+def remember(script: Path) -> None:
+    """Take the fingerprint of a study that is started before it computes anything; of other scripts none."""
+    if script.resolve().parent == STUDIES and script.stem[:1].isdigit():
+        fingerprint_of_study(script.stem)
 
 
 def is_of_study(path: Path) -> bool:
@@ -110,3 +120,6 @@ def _imported(tree: ast.Module) -> Iterator[str]:
         elif isinstance(node, ast.ImportFrom) and node.module:
             yield node.module
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+remember(Path(sys.argv[0]))

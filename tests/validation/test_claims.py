@@ -287,7 +287,7 @@ def test_what_is_hidden_above_its_limit_must_be_claimed_alone_or_in_a_class() ->
     # the chance that a limit states, which no seal predicts
     said = telling.section(7, found, []).splitlines()
     (row,) = (line for line in said if line.startswith(f"| {scoring.ABOVE} | 0.95 to 1 | 0.500 |"))
-    assert row.endswith("| not sealed: what the limits state |")
+    assert row.endswith("| missed; stated by the answers, not sealed |")
     assert any(line.startswith(f"| {scoring.BELOW} | - | 0.000 |") for line in said)
 
 

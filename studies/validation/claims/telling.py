@@ -43,17 +43,17 @@ def section(
 
 def _figure(row: Record, predicted: Sequence[float] | None) -> tuple[str, ...]:
     low, high = row["interval"]
+    of_limits = row["what"] == ABOVE
+    between = LIMIT_CHANCE if of_limits else predicted
     said, outcome = "-", "-"
-    if predicted is not None:
-        least, most = predicted
+    if between is not None:
+        least, most = between
+        reaches = low <= most and least <= high
         said = f"{least:g} to {most:g}"
-        outcome = "met" if least <= row["value"] <= most else "missed"
-        if outcome == "missed" and low <= most and least <= high:
-            outcome = "missed; its interval reaches it"
-    elif row["what"] == ABOVE:
-        said, outcome = "{:g} to {:g}".format(*LIMIT_CHANCE), "not sealed: what the limits state"
-    between = f"{low:.3f} to {high:.3f}"
-    return row["what"], said, f"{row['value']:.3f}", between, f"{row['number']} {row['unit']}", outcome
+        outcome = "met" if least <= row["value"] <= most else f"missed{'; its interval reaches it' * reaches}"
+        outcome += "; stated by the answers, not sealed" * of_limits
+    ends = f"{low:.3f} to {high:.3f}"
+    return row["what"], said, f"{row['value']:.3f}", ends, f"{row['number']} {row['unit']}", outcome
 
 
 def answered_by(engines: Sequence[Record]) -> list[str]:
