@@ -435,6 +435,10 @@ def test_ways_to_be_misled_are_counted_the_commonest_first() -> None:
     said = " ".join(telling.in_short(6, found, sealed).split())
     assert "signal to noise below 1: 3 of 3 missed); weak errors (1 to 8: 1 of 2 missed); " in said
     assert "another cause claimed (1 of 6: `skew` called `warp`)" in said
+    found["wrong"][0] |= {"claimed": ["air", "damage", "warp"]}
+    assert "`skew` called `air` or `damage` or others)" in " ".join(
+        telling.in_short(6, found, sealed).split()
+    )
     assert "([all 6 answered]" in said
     assert "1 of 6 lists are claimed wrongly (0.4 to 64.1 %; at most 1 predicted" in said
 

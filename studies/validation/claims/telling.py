@@ -11,6 +11,9 @@ from validation.reporting import listed, markdown_table, paragraph
 
 Record = dict[str, Any]
 
+# Names of a wrong claim that are told in short.
+_NAMED = 2
+
 
 def section(
     total: int,
@@ -162,11 +165,13 @@ def _way(row: Record, wrong: Sequence[Record]) -> str:
     counted = f"{row['number']} of {row['of']}"
     if row["way"] != scoring.MISSED:
         surest = max(wrong, key=lambda w: float(w["probability"]))
-        hidden, named = listed(_code(surest["causes"])), " or ".join(_code(surest["claimed"]))
-        return f"{row['way']} ({counted}: {hidden or 'nothing'} called {named})"
+        hidden, named = listed(_code(surest["causes"])), _code(surest["claimed"])
+        called = " or ".join((*named[:_NAMED], *("others" for _ in named[_NAMED : _NAMED + 1])))
+        return f"{row['way']} ({counted}: {hidden or 'nothing'} called {called})"
     if not row["from"]:
-        below = f"signal to noise below {row['below']:g}"
-        return f"errors that constants imitate or noise hides ({below}: {counted} missed)"
+        return (
+            f"errors that noise or constants hide (signal to noise below {row['below']:g}: {counted} missed)"
+        )
     if row["below"]:
         return f"weak errors ({row['from']:g} to {row['below']:g}: {counted} missed)"
     return f"clear errors (from {row['from']:g}: {counted} missed)"
