@@ -39,7 +39,7 @@ def _picture(name: str, answers: dict[str, Any], beside: dict[str, Any], lists: 
         for key in ("lists", "claimed and right", "claimed and wrong")
     )
     compared = (
-        ", beside simple methods with thresholds for its rate of wrong claims "
+        ", beside simple methods with thresholds for its rate of wrong claims on development lists "
         f"({beside['lists']} lists that all answered)"
         if len(beside["engines"]) > 1
         else ""

@@ -26,6 +26,7 @@ from cpam_bayes.parallel import run as share_out
 from cpam_bayes.render.report import Heading, Table
 from cpam_bayes.render.terminal import screen_text
 from validation.claims import scoring
+from validation.fingerprints import stamped
 from validation.independent.lists import NOISE, RESOLUTION_HZ, NominalPlate
 from validation.independent.true_plate import FLAWS, TruePlate
 from validation.reporting import (
@@ -90,7 +91,7 @@ def run(
     known = {(r["cause"], r["number"]) for r in records}
 
     def keep(index: int, record: Results) -> None:
-        records.append(record)
+        records.append(stamped(record, path) if path else record)
         if path:
             save_results(path, as_results(records, setups, quick=quick))
             print(f"{len(records)} trials", file=sys.stderr, flush=True)

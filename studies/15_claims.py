@@ -2,6 +2,7 @@
 
 python studies/15_claims.py [--seal] [--make SET ...] [--answer SET ...] [--methods SET ...]
     [--engine NAME=TREE] [--workers N] [--minutes M] [--only TEXT] [--limit N] [--quick]
+python studies/15_claims.py --score FILE [--of SET]
 
 A list is a plate file with its truth, one JSON line in studies/data/claims/SET.jsonl: "id", "file", "truth".
 The set "development" is to look at. The set "sealed" is to judge: --seal draws its seed when the code is
@@ -12,9 +13,9 @@ there are become results, and the section of docs/hidden_effects.md.
 --methods adds what users do instead, each with a threshold to abstain that is chosen on the set "development"
 for the diagnosis's own rate of wrong claims there; --engine NAME=TREE asks another version of the package.
 
-A method of your own is scored in the same way: write one JSON line a list with "id" and the keys of
-`cpam-bayes diagnose --json` into studies/data/claims/answers/sealed_NAME.jsonl and run the study without
-options.
+--score prints the scores of a method of your own beside ours on the same lists, and writes nothing. FILE
+holds an answer a line, see validation/claims/own_method.py. The method takes the "file" of a list alone: its
+"id" and its "truth" tell what is hidden.
 """
 
 from __future__ import annotations
@@ -34,8 +35,9 @@ from pathlib import Path
 from typing import Any
 
 import cpam_bayes as cb
-from validation.claims import answering, references, scoring, seal, sets
-from validation.reporting import paragraph, save_results, write_sections
+from validation.claims import answering, own_method, references, scoring, seal, sets, telling
+from validation.fingerprints import KEY, fingerprint_of_study
+from validation.reporting import save_results, write_sections
 
 Results = dict[str, Any]
 
@@ -49,8 +51,9 @@ KEYS = {
     "seal": "of the sealed set: commit of the code, date, seed, predictions, SHA-256 of the lists",
     "lists": "by set: how many there are",
     "unreachable": "by set: lists that could not be made, and why",
+    "engines": "by set, the states of the code that answered, each with its figures",
     "sets": "by set, of the diagnosis: figures, confusion of claims and more",
-    "thresholds": "wrong claims of the diagnosis on lists for development, and thresholds of methods by them",
+    "thresholds": "wrong claims of the diagnosis on lists for development, by whom, and thresholds by them",
     "beside": "by set, on the lists that all engines and methods answered: figures and confusion of each",
 }
 
@@ -102,6 +105,7 @@ def _results(quick: bool, found: dict[str, tuple[list[Results], dict[str, dict[s
     tuned = _tuned(*found.get(DEVELOPMENT, ([], {})))
     said: Results = {}
     beside: Results = {}
+    states: list[Results] = []
     for name, (entries, engines) in found.items():
         if THIS not in engines:
             continue
@@ -112,6 +116,7 @@ def _results(quick: bool, found: dict[str, tuple[list[Results], dict[str, dict[s
                 answers = references.abstaining(answers, tuned["methods"][engine]["threshold"])
             scores[engine] = scoring.scored(entries, answers)
         said[name] = scoring.summary(scores[THIS])
+        states += [{"set": name, **row} for row in scoring.by_engine(scores[THIS])]
         both = set.intersection(*({r["id"] for r in records} for records in scores.values()))
         of_both = {e: scoring.summary([r for r in s if r["id"] in both]) for e, s in scores.items()}
         brief = {engine: {key: own[key] for key in BRIEF} for engine, own in of_both.items()}
@@ -124,6 +129,7 @@ def _results(quick: bool, found: dict[str, tuple[list[Results], dict[str, dict[s
             name: [{"id": r["id"], "why": r["unreachable"]} for r in entries if "unreachable" in r]
             for name, (entries, _) in found.items()
         },
+        "engines": states,
         "sets": said,
         "thresholds": tuned,
         "beside": beside,
@@ -132,8 +138,8 @@ def _results(quick: bool, found: dict[str, tuple[list[Results], dict[str, dict[s
 
 def _tuned(entries: list[Results], engines: dict[str, dict[str, Results]]) -> Results:
     """Thresholds of the methods for the rate of wrong claims that the diagnosis has on its lists of a set."""
-    categories = [r["category"] for r in scoring.scored(entries, engines.get(THIS, {}))]
-    rate = categories.count(scoring.WRONG), len(categories)
+    ours = scoring.scored(entries, engines.get(THIS, {}))
+    rate = sum(r["category"] == scoring.WRONG for r in ours), len(ours)
     methods = {
         m: references.threshold(
             scoring.scored(entries, engines[m]), {k: a["statistic"] for k, a in engines[m].items()}, rate
@@ -141,7 +147,8 @@ def _tuned(entries: list[Results], engines: dict[str, dict[str, Results]]) -> Re
         for m in references.METHODS
         if m in engines
     }
-    return {"rate": list(rate), "methods": methods}
+    by = [row["commit"] for row in scoring.by_engine(ours)]
+    return {"rate": list(rate), "answered_by": by, "methods": methods}
 
 
 def make(name: str, workers: int) -> None:
@@ -169,7 +176,7 @@ def answer(
     path = answers_path(name, engine)
     path.parent.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, answering.__file__, str(data_path(name)), str(path), "--only", only]
-    command += ["--record", json.dumps(seal.provenance(tree))]
+    command += ["--record", json.dumps(_provenance(tree))]
     command += [] if limit is None else ["--limit", str(limit)]
     command += [] if minutes is None else ["--minutes", str(minutes)]
     environment = {**os.environ, "PYTHONPATH": str(tree), "OPENBLAS_NUM_THREADS": "1"}
@@ -177,6 +184,12 @@ def answer(
     running = [subprocess.Popen(part, env=environment) for part in parts]
     for process in running:
         process.wait()
+
+
+def _provenance(tree: Path) -> Results:
+    """What each answer keeps: commit and date, and of this tree the fingerprint of today's code."""
+    own = {KEY: fingerprint_of_study(RESULTS.stem)} if tree.resolve() == HERE.parent.resolve() else {}
+    return {**seal.provenance(tree), **own}
 
 
 def refer(name: str, minutes: float | None, limit: int | None) -> None:
@@ -200,15 +213,29 @@ def refer(name: str, minutes: float | None, limit: int | None) -> None:
         print(name, entry["id"], flush=True)
 
 
+def scores_beside_ours(name: str, path: Path) -> str:
+    """What is said of a method's own answers to a set; AnswerError for a file of none."""
+    entries = answering.asked(data_path(name))
+    own = own_method.read(path, {entry["id"] for entry in entries})
+    ours = answering.answered(answers_path(name, THIS))
+    both = [entry for entry in entries if entry["id"] in own and entry["id"] in ours]
+    records = (scoring.scored(both, answers) for answers in (own, ours))
+    left = len(own) - len(both)
+    others = f"\n\n{left} of its answers are to lists that the diagnosis has not answered." if left else ""
+    return f"{own_method.table(path.stem, *records)}{others}"
+
+
 def sections(results: Results) -> dict[str, str]:
     """What docs/hidden_effects.md says of each set, and README of the sealed one."""
     found = {}
     for name, scores in results["sets"].items():
         total, beside = results["lists"][name], results["beside"][name]
-        others = scoring.compared(beside, results["thresholds"], NAMES) if len(beside["engines"]) > 1 else []
-        found[name] = scoring.section(total, scores, others, results["seal"] if name == SEALED else None)
-        if name == SEALED:
-            found["in short"] = paragraph(scoring.in_short(total, scores), "- ")
+        states = [row for row in results["engines"] if row["set"] == name]
+        others = telling.compared(beside, results["thresholds"], NAMES) if len(beside["engines"]) > 1 else []
+        sealed = results["seal"] if name == SEALED else None
+        found[name] = telling.section(total, scores, states, others, sealed)
+        if sealed is not None:
+            found["in short"] = telling.in_short(total, scores, sealed)
     return found
 
 
@@ -238,7 +265,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--minutes", type=float)
     parser.add_argument("--only", default="")
     parser.add_argument("--limit", type=int)
+    parser.add_argument("--score", type=Path, metavar="FILE", help="score these answers of another method")
+    parser.add_argument("--of", choices=NAMES_OF_SETS, default=SEALED, help="the set that they are of")
     args = parser.parse_args(arguments)
+    if args.score:
+        try:
+            print(scores_beside_ours(args.of, args.score))
+        except (own_method.AnswerError, OSError) as error:
+            parser.error(str(error))
+        return
     engine, tree = args.engine.split("=", 1)
     if args.seal:
         print(json.dumps(seal.draw(SEAL, HERE.parent), indent=1))

@@ -11,7 +11,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from validation.reporting import FIGURE, pages, sections_of_figures, with_sections
+from validation.reporting import FIGURE, pages, sections_of_figures, with_age, with_sections
 
 HERE = Path(__file__).parent
 PROJECT = HERE.parent
@@ -32,12 +32,12 @@ def sections(study: str) -> dict[str, str]:
 
 
 def written(page: Path, studies: Sequence[str]) -> str:
-    """A page with the sections of these studies and of all figures written anew."""
+    """A page with the sections of these studies, of all figures and of their age written anew."""
     text = with_sections(page.read_text(encoding="utf-8"), FIGURE, sections_of_figures(PROJECT, page))
     for study in studies:
         if f"<!-- {study}: " in text:
             text = with_sections(text, study, sections(study))
-    return text
+    return with_age(text)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -14,7 +14,6 @@ import yaml
 import cpam_bayes as cb
 from cpam_bayes.documents import DOCUMENTS, json_schema
 from tests.browser import open_browser
-from validation.reporting import outdated
 
 PROJECT = Path(__file__).parent.parent
 DOCS = PROJECT / "docs"
@@ -48,14 +47,6 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_navigation_names_every_page_once() -> None:
     nav = yaml.safe_load((PROJECT / "mkdocs.yml").read_text("utf-8"))["nav"]
     assert sorted(listed_pages(nav)) == sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
-
-
-def test_a_page_of_the_site_names_results_of_another_state_of_the_code(site: Path) -> None:
-    for page in DOCS.glob("*.md"):
-        studies = outdated(page.read_text("utf-8"))
-        shown = (site / f"{page.stem}.html").read_text("utf-8")
-        assert ("Results of another state of the code" in shown) == bool(studies), page.name
-        assert all(f"python studies/{name}.py" in shown for name in studies)
 
 
 def test_the_site_builds_strictly_with_its_figures_equations_and_the_api(site: Path) -> None:

@@ -1,27 +1,36 @@
 """Pages say what the saved results say: every generated section is written anew and compared."""
 
 import json
+import re
 from functools import cache
 from pathlib import Path
 
 import pytest
 
 from tests.test_studies import PROJECT, SAVED, STUDIES, script
-from validation import reporting
+from validation import fingerprints
+from validation.fingerprints import UNKNOWN, fingerprint_of_study
 from validation.reporting import (
+    AGE,
     FIGURE,
+    captions,
+    case_by_case,
     counted,
     figure_section,
-    fingerprint_of_study,
     in_digits,
     listed,
     markdown_table,
     marks,
+    of_figure,
     outdated,
     pages,
     save_results,
+    saved_results,
     sections_of_figures,
+    studies_of,
+    with_age,
     with_error,
+    with_saved,
     with_sections,
     write_sections,
 )
@@ -50,10 +59,16 @@ def test_the_documentation_has_at_most_30_000_words() -> None:
     assert sum(words.values()) <= 30_000, longest_first
 
 
+def test_the_readme_says_in_six_lines_how_wrong_an_answer_can_be() -> None:
+    section = (PROJECT / "README.md").read_text("utf-8").split("## How wrong it can be")[1].split("\n## ")[0]
+    text = with_sections(section, AGE, {"studies": ""})
+    assert len([line for line in text.splitlines() if line.strip() and not line.startswith("<!--")]) <= 6
+
+
 def test_every_source_of_a_section_is_a_study_a_figure_or_a_benchmark() -> None:
     sources = {source for path in PAGES.values() for source, _ in marks(path.read_text(encoding="utf-8"))}
     # benchmarks/waits.py writes the tables of docs/speed.md
-    assert sources <= {FIGURE, "waits", *STUDIES}
+    assert sources <= {FIGURE, AGE, "waits", *STUDIES}
 
 
 def test_a_study_that_writes_sections_has_its_place_in_a_page() -> None:
@@ -132,15 +147,132 @@ def test_values_are_written_as_in_print() -> None:
     assert markdown_table(("x", "y"), [("1", "2")]) == "| x | y |\n|---|---|\n| 1 | 2 |"
 
 
-def test_results_of_other_sources_are_named_until_the_study_is_run_again(
+# Which state of the code computed what
+
+STUDY = "16_theory_error"
+OTHER = "0123456789ab"
+SECTION = (
+    f"# Title\n\n<!-- age: studies -->\n<!-- /age -->\n\n<!-- {STUDY}: largest -->\nold\n<!-- /{STUDY} -->\n"
+)
+
+
+@pytest.fixture
+def ledger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty one; results of studies lie beside it."""
+    monkeypatch.setattr(fingerprints, "LEDGER", tmp_path / "fingerprints.json")
+    return tmp_path / "fingerprints.json"
+
+
+def test_a_page_that_shows_results_of_studies_says_where_they_are_of_other_code() -> None:
+    for name, path in PAGES.items():
+        text = path.read_text("utf-8")
+        asked = [section for source, section in marks(text) if source == AGE]
+        assert asked == (["studies"] if studies_of(text) else []), name
+        assert ("Computed by an earlier state of the code" in text) == bool(outdated(text)), name
+
+
+def test_every_figure_of_a_page_is_of_a_study() -> None:
+    for path in captions(PROJECT):
+        assert len(of_figure(path) & set(STUDIES)) == 1, path.name
+    assert studies_of("<!-- figure: picture mode_shapes_C1 -->\n<!-- /figure -->\n") == {"02_agreement"}
+    assert studies_of("<!-- figure: all of 15_claims -->\n<!-- /figure -->\n") == {"15_claims"}
+
+
+def test_results_of_other_sources_are_named_until_the_study_is_run_again(ledger: Path) -> None:
+    assert outdated(SECTION) == [STUDY]
+    save_results(ledger.with_name(f"{STUDY}.json"), {"cases": []})
+    assert json.loads(ledger.read_text()) == {STUDY: fingerprint_of_study(STUDY)}
+    assert outdated(SECTION) == []
+    assert with_age(SECTION) == SECTION
+    ledger.write_text(json.dumps({STUDY: OTHER}))
+    assert outdated(SECTION) == [STUDY]
+    said = f"code: the results of `studies/{STUDY}.py`."
+    assert said in with_age(SECTION)
+    ledger.write_text(json.dumps({STUDY: fingerprint_of_study(STUDY)}))
+    assert with_age(with_age(SECTION)) == SECTION
+
+
+def test_a_figure_of_other_sources_is_named_too(ledger: Path) -> None:
+    both = SECTION + "\n<!-- figure: picture 20_swarms -->\n<!-- /figure -->\n"
+    ledger.write_text(json.dumps({STUDY: fingerprint_of_study(STUDY)}))
+    assert outdated(both) == ["20_swarms"]
+    ledger.write_text("{}")
+    assert "code: all results of studies on this page." in with_age(both)
+
+
+def saved_before(ledger: Path, recorded: str | None) -> Path:
+    """Results with two cases, without fingerprints, and what the ledger says of them."""
+    path = ledger.with_name(f"{STUDY}.json")
+    path.write_text(json.dumps({"cases": [{"case": 0, "x": 1}, {"case": 1, "x": 1}]}))
+    ledger.write_text(json.dumps({} if recorded is None else {STUDY: recorded}))
+    return path
+
+
+@pytest.mark.parametrize("recorded", [None, OTHER])
+def test_a_study_is_of_todays_code_when_all_its_cases_are(ledger: Path, recorded: str | None) -> None:
+    path, before, today = saved_before(ledger, recorded), recorded or UNKNOWN, fingerprint_of_study(STUDY)
+    # summed up again: nothing was computed
+    save_results(path, saved_results(path))
+    assert fingerprints.recorded()[STUDY] == before
+    for case, of in ((0, before), (1, today)):
+        save_results(path, with_saved({"cases": [{"case": case, "x": 2}]}, path, (0, 1)))
+        assert fingerprints.recorded()[STUDY] == of
+    assert saved_results(path)["cases"] == [{"case": k, "x": 2, "fingerprint": today} for k in (0, 1)]
+
+
+def test_cases_that_are_saved_one_by_one_keep_the_fingerprint_that_they_were_computed_with(
+    ledger: Path,
+) -> None:
+    path = saved_before(ledger, OTHER)
+    found = case_by_case(range(3), lambda n: {"case": n, "x": 2}, lambda cases: {"cases": cases}, path=path)
+    assert [c["fingerprint"] for c in found["cases"]] == [OTHER, OTHER, fingerprint_of_study(STUDY)]
+    assert fingerprints.recorded() == {STUDY: OTHER}
+
+
+def test_a_case_without_a_fingerprint_among_others_is_of_unknown_code(ledger: Path) -> None:
+    rows = [{"case": 0, "fingerprint": fingerprint_of_study(STUDY)}, {"case": 1}]
+    save_results(ledger.with_name(f"{STUDY}.json"), {"cases": rows, "counts": [{"n": 2}]})
+    assert fingerprints.recorded() == {STUDY: UNKNOWN}
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_a_study_reads_its_saved_results_with_their_fingerprints(name: str) -> None:
+    text = (PROJECT / "studies" / f"{name}.py").read_text("utf-8")
+    assert not re.search(r"\bRESULTS\.(read_text|read_bytes|open)\(", text)
+
+
+def test_results_that_are_of_no_study_have_no_fingerprint(ledger: Path, tmp_path: Path) -> None:
+    path = tmp_path / "waits" / "waits.json"
+    save_results(path, with_saved({"rows": [{"case": "a"}]}, path, ("a",)))
+    assert saved_results(path) == {"rows": [{"case": "a"}]}
+    assert not ledger.exists()
+
+
+def test_the_fingerprint_of_a_study_is_taken_when_it_is_started() -> None:
+    sizes = []
+    for script_name in (f"{STUDY}.py", "write_pages.py"):
+        fingerprint_of_study.cache_clear()
+        fingerprints.remember(PROJECT / "studies" / script_name)
+        sizes.append(fingerprint_of_study.cache_info().currsize)
+    assert sizes == [1, 0]
+
+
+def test_a_study_depends_on_what_it_takes_from_validation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    name = "16_theory_error"
-    page = f"# Title\n\n<!-- {name}: largest -->\nold\n<!-- /{name} -->\n"
-    monkeypatch.setattr(reporting, "_FINGERPRINTS", tmp_path / "fingerprints.json")
-    assert outdated(page) == [name]
-    save_results(tmp_path / f"{name}.json", {"cases": []})
-    assert json.loads((tmp_path / "fingerprints.json").read_text()) == {name: fingerprint_of_study(name)}
-    assert outdated(page) == []
-    (tmp_path / "fingerprints.json").write_text(json.dumps({name: "0123456789ab"}))
-    assert outdated(page) == [name]
+    (tmp_path / "validation" / "deep").mkdir(parents=True)
+    study, way = tmp_path / "90_new.py", tmp_path / "validation" / "way.py"
+    end = tmp_path / "validation" / "deep" / "end.py"
+    study.write_text("from validation import way\nfrom validation.reporting import save_results\n")
+    way.write_text("from validation.deep.end import x\n")
+    monkeypatch.setattr(fingerprints, "STUDIES", tmp_path)
+    found = []
+    for imported in (
+        "",
+        "from cpam_bayes.formatting import fixed\n",
+        "import cpam_bayes as cb\ncb.forward()\n",
+    ):
+        end.write_text(f"x = 1\n{imported}")
+        found.append(fingerprint_of_study.__wrapped__("90_new"))
+    assert found[0] == ""
+    assert len(set(found)) == 3

@@ -9,7 +9,6 @@ from __future__ import annotations
 import html
 import json
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +19,6 @@ from mkdocs.structure.files import File
 from cpam_bayes.documents import DOCUMENTS, json_schema
 
 _PROJECT = Path(__file__).parents[2]
-sys.path.insert(0, str(_PROJECT / "studies"))
-
-from validation.reporting import outdated  # noqa: E402 - beside the studies, not in the package
 
 # ](../figures/x.png) of a page; the site has the same files under figures/
 _FIGURE_LINK = re.compile(r"(?<=\]\()\.\./(?=figures/[\w.]+\.png\))")
@@ -48,19 +44,8 @@ def on_files(files: Any, *, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Let links to figures point to those of the site, and name results that are of other code."""
-    return with_age(_FIGURE_LINK.sub("", markdown))
-
-
-def with_age(markdown: str) -> str:
-    """A page that says below its title which of its results were computed by another state of the code."""
-    studies = outdated(markdown)
-    if not studies:
-        return markdown
-    commands = ", ".join(f"`python studies/{name}.py`" for name in studies)
-    title, _, rest = markdown.partition("\n")
-    said = f"Results of another state of the code than this one: those of {commands}."
-    return f"{title}\n\n!!! note\n    {said}\n{rest}"
+    """Let links to figures point to those of the site."""
+    return _FIGURE_LINK.sub("", markdown)
 
 
 def on_page_content(content: str, **_: Any) -> str:

@@ -22,6 +22,7 @@ from cpam_bayes.calibration import (
     prior_draw,
     prior_of,
 )
+from cpam_bayes.fingerprint import fingerprint
 from cpam_bayes.inference.ensemble import StoreError
 from cpam_bayes.storage import seal_of
 
@@ -69,7 +70,7 @@ class DrawStore:
             ) from error
         if problem_stored != key:
             raise StoreError(
-                f"store {path}: holds another problem (plate, priors, noise, settings or seed differ); "
+                f"store {path}: holds another problem (code, plate, priors, noise, settings or seed differ); "
                 "choose another file or remove it"
             )
         if len(whole) < len(content):
@@ -135,13 +136,14 @@ def stored_calibration(
 
 
 def experiment_hash(experiment: Experiment) -> str:
-    """Hash of all that a repetition depends on: priors, predictions, noise, settings, seed."""
+    """Hash of all that a repetition depends on: code, priors, predictions, noise, settings, seed."""
     nature = nature_of(experiment.source)
     posterior = prior_of(experiment, nature)
     rng = np.random.default_rng(0)
     x = np.stack([prior_draw(posterior, rng) for _ in range(3)])
     predicted = nature.model.predict(x[:, : nature.model.parameters.size]).frequencies
     parts = [
+        fingerprint("cpam_bayes.calibration"),
         posterior.parameters.names,
         [repr(p.prior) for p in posterior.parameters.parameters],
         [[f"{f:.7g}" for f in row] for row in predicted],

@@ -6,8 +6,8 @@ A page holds a section between two marks, each on a line of its own:
     ...
     <!-- /08_sequences -->
 
-The first name is the source, a study, a benchmark or ``figure``; the second is the section. All else in a
-page is typed.
+The first name is the source, a study, a benchmark, ``figure`` or ``age``; the second is the section. All else
+in a page is typed.
 """
 
 from __future__ import annotations
@@ -24,13 +24,9 @@ from os.path import relpath
 from pathlib import Path
 from typing import Any
 
-import cpam_bayes
-from cpam_bayes.fingerprint import fingerprint_of_script
+from . import fingerprints
 
 Results = dict[str, Any]
-
-STUDIES = Path(__file__).parents[1]
-_FINGERPRINTS = STUDIES / "results" / "fingerprints.json"
 
 
 def study_parser(doc: str | None) -> argparse.ArgumentParser:
@@ -52,34 +48,20 @@ def study_main(
 
 
 def save_results(path: Path, results: Results) -> None:
-    """Write the results, of a study with the fingerprint of the code that computed them.
+    """Write the results, of a study with the fingerprint of the code that computed its oldest case.
 
     Raises ``ValueError`` for NaN or infinity, which JSON has not.
     """
     path.parent.mkdir(exist_ok=True)
     path.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    if path.parent == _FINGERPRINTS.parent:
-        known = {**saved_results(_FINGERPRINTS), path.stem: fingerprint_of_study(path.stem)}
-        text = json.dumps(dict(sorted(known.items())), indent=1)
-        _FINGERPRINTS.write_text(text + "\n", encoding="utf-8")
-
-
-def fingerprint_of_study(name: str) -> str:
-    """That of the package's sources that a study uses today."""
-    return fingerprint_of_script(STUDIES / f"{name}.py", cpam_bayes._PUBLIC)
-
-
-def outdated(page: str) -> list[str]:
-    """Studies whose results in a page are of other sources than today's, or of unrecorded ones."""
-    known = saved_results(_FINGERPRINTS)
-    sources = {source for source, _ in marks(page) if (STUDIES / f"{source}.py").exists()}
-    return sorted(name for name in sources if known.get(name) != fingerprint_of_study(name))
+    if fingerprints.is_of_study(path):
+        fingerprints.record(path, results)
 
 
 def saved_results(path: Path) -> Results:
-    """What was saved before, empty if nothing was."""
+    """What was saved before, rows of a study with their fingerprints; empty if nothing was."""
     results: Results = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    return results
+    return fingerprints.with_recorded(results, path)
 
 
 def with_saved(
@@ -88,7 +70,7 @@ def with_saved(
     order: Sequence[Hashable],
     case_of: Callable[[Results], Hashable] = itemgetter("case"),
 ) -> Results:
-    """The results with the cases that were saved before and not run again.
+    """The results, computed now, with the cases that were saved before and not run again.
 
     Every list among the results holds rows, each of one case; it is merged case by case and brought into
     the given order, in which rows of cases that it lacks are dropped. All else is that of the results.
@@ -99,7 +81,8 @@ def with_saved(
         if isinstance(rows, list):
             new = {case_of(row) for row in rows}
             stay = [row for row in saved.get(key, []) if case_of(row) not in new]
-            known = [row for row in (*stay, *rows) if case_of(row) in place]
+            now = [fingerprints.stamped(row, path) for row in rows]
+            known = [row for row in (*stay, *now) if case_of(row) in place]
             both[key] = sorted(known, key=lambda row: place[case_of(row)])
     return both
 
@@ -132,6 +115,7 @@ def case_by_case(
             break
         known[number] = run_case(number)
         if path:
+            known[number] = fingerprints.stamped(known[number], path)
             save_results(path, found())
         say(known[number])
     return found()
@@ -162,6 +146,9 @@ def cases_main(
 
 
 FIGURE = "figure"
+# What a page says of results of other code than today's.
+AGE = "age"
+_PROJECT = fingerprints.STUDIES.parent
 _SECTION = re.compile(
     r"^<!-- (?P<source>\w+): (?P<name>[^\n]+?) -->\n(?P<text>.*?)^<!-- /(?P=source) -->$",
     re.MULTILINE | re.DOTALL,
@@ -180,7 +167,7 @@ def marks(page: str) -> list[tuple[str, str]]:
     lone = [
         line
         for line in re.findall(r"^<!-- /?(\w+)(?:: .*)? -->$", page, re.MULTILINE)
-        if line not in sources and (line == FIGURE or line[:1].isdigit())
+        if line not in sources and (line in (FIGURE, AGE) or line[:1].isdigit())
     ]
     if lone:
         raise ValueError(
@@ -203,21 +190,64 @@ def with_sections(page: str, source: str, sections: Mapping[str, str]) -> str:
             known = ", ".join(sections) or "none"
             raise ValueError(f"no section of {source} is named {name!r}; there are {known}")
         content = sections[name].strip("\n")
-        return f"<!-- {source}: {name} -->\n\n{content}\n\n<!-- /{source} -->"
+        between = f"\n\n{content}\n\n" if content else "\n"
+        return f"<!-- {source}: {name} -->{between}<!-- /{source} -->"
 
     return _SECTION.sub(text, page)
 
 
 def write_sections(project: Path, source: str, sections: Mapping[str, str]) -> list[Path]:
-    """Write the sections of one source into all pages that ask for them; the pages that changed."""
+    """Write the sections of one source, and ages of results, into all pages that ask for them.
+
+    Returns the pages that changed.
+    """
     changed = []
     for path in pages(project):
         before = path.read_text(encoding="utf-8")
-        after = with_sections(before, source, sections)
+        after = with_age(with_sections(before, source, sections))
         if after != before:
             path.write_text(after, encoding="utf-8")
             changed.append(path)
     return changed
+
+
+def studies_of(page: str) -> set[str]:
+    """The studies whose results a page shows, in sections or in figures."""
+    asked = marks(page)
+    written = {source for source, _ in asked if (fingerprints.STUDIES / f"{source}.py").exists()}
+    figures = {name.removeprefix("picture ") for source, name in asked if source == FIGURE}
+    return written.union(*(of_figure(path) for path in captions(_PROJECT) if _names(path) & figures))
+
+
+def outdated(page: str) -> list[str]:
+    """Studies whose results in a page are of other sources than today's, or of unknown ones."""
+    return sorted(filter(fingerprints.is_outdated, studies_of(page)))
+
+
+def with_age(page: str) -> str:
+    """A page that says, where it is asked to, which of its results an earlier state of the code computed."""
+    old = outdated(page)
+    every = len(old) > 1 and len(old) == len(studies_of(page))
+    named = listed([f"`studies/{name}.py`" for name in old])
+    which = "all results of studies on this page" if every else f"the results of {named}"
+    said = paragraph(f"Computed by an earlier state of the code: {which}.") if old else ""
+    return with_sections(page, AGE, {"studies": said})
+
+
+def captions(project: Path) -> list[Path]:
+    """The captions of all figures that were drawn."""
+    return [p for p in sorted((project / "figures").glob("*.md")) if p.with_suffix(".png").exists()]
+
+
+def of_figure(caption: Path) -> set[str]:
+    """The study whose results a figure draws."""
+    return set(re.findall(r"`studies/results/(\w+)\.json`", caption.read_text(encoding="utf-8")))
+
+
+def _names(caption: Path) -> set[str]:
+    """What pages call a figure: by itself, and with all of its script."""
+    scripts = re.findall(r"`python figures/draw\.py (\w+)`", caption.read_text(encoding="utf-8"))
+    return {caption.stem, *(f"all of {script}" for script in scripts)}
 
 
 def figure_section(caption: Path, page: Path, *, titled: bool = False) -> str:
@@ -234,13 +264,10 @@ def figure_section(caption: Path, page: Path, *, titled: bool = False) -> str:
 def sections_of_figures(project: Path, page: Path) -> dict[str, str]:
     """All figures by name, as "picture NAME" with the title alone, and those of a script as "all of NAME"."""
     written: dict[str, str] = {}
-    for path in sorted((project / "figures").glob("*.md")):
-        script = re.search(r"`python figures/draw\.py (\w+)`", path.read_text(encoding="utf-8"))
-        if script and path.with_suffix(".png").exists():
-            written[path.stem] = figure_section(path, page)
-            written[f"picture {path.stem}"] = figure_section(path, page, titled=True)
-            together = written.get(f"all of {script[1]}", "")
-            written[f"all of {script[1]}"] = f"{together}\n\n{written[path.stem]}".strip()
+    for path in captions(project):
+        written[f"picture {path.stem}"] = figure_section(path, page, titled=True)
+        for name in _names(path):
+            written[name] = f"{written.get(name, '')}\n\n{figure_section(path, page)}".strip()
     return written
 
 

@@ -30,6 +30,7 @@ from cpam_bayes.inference.posterior import NOISE_PRIOR
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.parallel import open_executor
 from tests.linear_model import LinearModel
+from validation import draw_store
 from validation.draw_store import DrawStore, stored_calibration
 
 N_RANKS = N_DRAWS + 1
@@ -247,6 +248,16 @@ def test_a_store_of_another_experiment_is_refused_and_left_alone(tmp_path: Path)
         with pytest.raises(StoreError, match="holds another problem"):
             stored_calibration(other, 2, path)
     assert path.read_bytes() == before
+
+
+def test_a_store_of_another_state_of_the_code_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "store.jsonl"
+    stored_calibration(fast(), 2, path)
+    monkeypatch.setattr(draw_store, "fingerprint", lambda module: "0123456789ab")
+    with pytest.raises(StoreError, match="holds another problem \\(code, plate"):
+        stored_calibration(fast(), 2, path)
 
 
 @pytest.mark.parametrize("content", [b"not JSON\nat all\n", b"no line", b"[1, 2]\n", b'{"other": 1}\n'])

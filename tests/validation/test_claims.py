@@ -13,8 +13,8 @@ import pytest
 import cpam_bayes as cb
 from cpam_bayes.effects import CATALOGUE
 from tests.test_studies import script
-from validation import brick_lists
-from validation.claims import answering, references, scoring, seal, sets
+from validation import brick_lists, fingerprints
+from validation.claims import answering, references, scoring, seal, sets, telling
 from validation.independent import drawn, lists
 from validation.independent.true_plate import FLAWS, TruePlate, natural_frequencies
 from validation.reporting import save_results, saved_results, with_saved
@@ -284,9 +284,11 @@ def test_what_is_hidden_above_its_limit_must_be_claimed_alone_or_in_a_class() ->
     assert (above["value"], above["number"]) == (0.5, 4)
     assert above["interval"] == scoring.interval(2, 4)
     assert (below["value"], below["number"]) == (0.0, 2)
-    # the chance that a limit states, in place of a prediction
-    assert f"| {scoring.ABOVE} | 0.95 to 1 | 0.500 |" in scoring.section(7, found)
-    assert f"| {scoring.BELOW} | - | 0.000 |" in scoring.section(7, found)
+    # the chance that a limit states, which no seal predicts
+    said = telling.section(7, found, []).splitlines()
+    (row,) = (line for line in said if line.startswith(f"| {scoring.ABOVE} | 0.95 to 1 | 0.500 |"))
+    assert row.endswith("| missed; stated by the answers, not sealed |")
+    assert any(line.startswith(f"| {scoring.BELOW} | - | 0.000 |") for line in said)
 
 
 def test_an_interval_covers_the_truth_or_does_not() -> None:
@@ -369,11 +371,94 @@ def test_the_summary_counts_wrong_claims_with_their_lists() -> None:
     ]
     found = scoring.summary(records)
     assert [w["id"] for w in found["wrong"]] == ["prior-0-warp"]
-    assert "| prior-0-warp | warp | named: skew | 0.950 |" in scoring.section(2, found)
+    assert "| prior-0-warp | warp | named: skew | 0.950 |" in telling.section(2, found, [])
     wrong = next(row for row in found["figures"] if row["what"] == "wrong claims")
     assert (wrong["value"], wrong["number"]) == (0.5, 2)
     assert wrong["what"] in seal.PREDICTIONS
     assert set(seal.PREDICTIONS) <= {row["what"] for row in found["figures"]}
+
+
+def figure(what: str, value: float, low: float, high: float) -> dict[str, Any]:
+    return {"what": what, "value": value, "interval": (low, high), "number": 50, "unit": "lists"}
+
+
+def test_a_prediction_that_is_missed_is_named() -> None:
+    outcomes = {
+        "met": figure("a", 0.96, 0.9, 1.0),
+        "missed; its interval reaches it": figure("a", 0.92, 0.88, 0.96),
+        "missed": figure("a", 0.80, 0.7, 0.9),
+    }
+    for outcome, row in outcomes.items():
+        assert telling._figure(row, (0.93, 0.97))[-1] == outcome
+    assert telling._figure(outcomes["met"], None)[1] == telling._figure(outcomes["met"], None)[-1] == "-"
+
+
+def told_by(commits: str, wrong: str) -> list[dict[str, Any]]:
+    """Scores of lists, each answered by the commit at its place; an answer is wrong where it says so."""
+    entries = [{"id": f"prior-{k}", "file": DENSE, "truth": truth("warp")} for k in range(len(commits))]
+    answers = {
+        f"prior-{k}": answer("named", "skew" if failed == "x" else "warp")
+        | {"commit": commit, "date": "2026-11-27", "dirty": k == 0}
+        for k, (commit, failed) in reversed([*enumerate(zip(commits, wrong, strict=True))])
+    }
+    return scoring.scored(entries, answers)
+
+
+def test_each_state_of_the_code_that_answered_has_its_own_figures() -> None:
+    records = told_by("aabbb", "x---x")
+    engines = scoring.by_engine(records)
+    # in the order of the answers, not of the lists
+    assert [(e["commit"], e["lists"], e["dirty"]) for e in engines] == [("b", 3, 0), ("a", 2, 1)]
+    said = telling.section(5, scoring.summary(records), engines)
+    assert "2 states of it answered, each" in said
+    assert "| b | 2026-11-27 | 3 | 0 | 1.000 of 3 | " in said
+    assert "| a | 2026-11-27 | 2 | 1 | 1.000 of 2 | " in said
+    alone = scoring.by_engine(told_by("aa", "--"))
+    assert "states of it" not in telling.section(2, scoring.summary(records), alone)
+
+
+def test_ways_to_be_misled_are_counted_the_commonest_first() -> None:
+    weak, unseen = truth("skew") | {"ratio": 4.0}, truth("warp") | {"ratio": 0.2}
+    entries = [(unseen, "none")] * 3 + [(weak, "none"), (weak, "named"), (truth(), "none")]
+    lists_of = [{"id": f"prior-{k}", "file": DENSE, "truth": of} for k, (of, _) in enumerate(entries)]
+    answers = {
+        f"prior-{k}": answer(claim, *(["warp"] if claim == "named" else []))
+        for k, (_, claim) in enumerate(entries)
+    }
+    found = scoring.summary(scoring.scored(lists_of, answers))
+    first, second, third = found["misled"]
+    assert (first["way"], first["below"], first["number"], first["of"]) == (scoring.MISSED, 1.0, 3, 3)
+    assert first["causes"] == {"warp": 3}
+    assert (second["way"], second["from"], second["number"], second["of"]) == (scoring.MISSED, 1.0, 1, 2)
+    assert (third["number"], third["of"], third["causes"]) == (1, 6, {"skew": 1})
+    sealed = {"predictions": seal.PREDICTIONS}
+    said = " ".join(telling.in_short(6, found, sealed).split())
+    assert "signal to noise below 1: 3 of 3 missed); weak errors (1 to 8: 1 of 2 missed); " in said
+    assert "another cause claimed (1 of 6: `skew` called `warp`)" in said
+    found["wrong"][0] |= {"claimed": ["air", "damage", "warp"]}
+    assert "`skew` called `air` or `damage` or others)" in " ".join(
+        telling.in_short(6, found, sealed).split()
+    )
+    assert "([all 6 answered]" in said
+    assert "1 of 6 lists are claimed wrongly (0.4 to 64.1 %; at most 1 predicted" in said
+
+
+def test_an_answer_is_of_todays_code_only_if_it_was_given_by_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study = script("studies", "15_claims")
+    monkeypatch.setattr(fingerprints, "LEDGER", tmp_path / "fingerprints.json")
+    monkeypatch.setattr(seal, "provenance", lambda tree: {"commit": "c0ffee"})
+    own = study._provenance(study.HERE.parent)
+    assert own == {"commit": "c0ffee", "fingerprint": fingerprints.fingerprint_of_study("15_claims")}
+    # of another tree nothing is known
+    assert study._provenance(tmp_path) == {"commit": "c0ffee"}
+    entries, _ = benchmark({"clean-1": ("warp", 1.0), "clean-2": ("warp", 1.0)})
+    path = tmp_path / "15_claims.json"
+    for second, of in ((study._provenance(tmp_path), fingerprints.UNKNOWN), (own, own["fingerprint"])):
+        answers = {"clean-1": answer("none") | own, "clean-2": answer("none") | second}
+        save_results(path, study._results(False, {"development": (entries, {"diagnosis": answers})}))
+        assert fingerprints.recorded() == {"15_claims": of}
 
 
 @pytest.mark.parametrize("name", ["development", "sealed"])
@@ -554,6 +639,7 @@ def test_thresholds_come_from_the_lists_for_development_alone_and_the_wrong_rate
     assert "(0 of 3)" in said
     assert "| diagnosis | - | - | 2 | 0 | 2 of 2 |" in said
     assert "| BIC, difference | 4 | 2, 0, 3 | 1 | 1 | 1 of 2 |" in said
+    assert "0 wrong by the diagnosis, 0 to 1 by the others" in " ".join(said.split())
     assert "| my own | - | - | 0 | 0 | 0 of 2 |" in said
 
 

@@ -1,4 +1,4 @@
-"""Scores of claims against truths, and the figures and tables that are made of them.
+"""Scores of claims against truths, and the figures that are made of them.
 
 A claim is right when it names the true cause, or a class that the true cause is a member of, or, of two true
 causes, both or one of them without another. A truth lists the few further names that mean the same physical
@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
+from validation.fingerprints import KEY, UNKNOWN
 from validation.independent.true_plate import FLAWS
-from validation.reporting import paragraph
 
 Record = dict[str, Any]
 Scored = dict[str, Any]
@@ -33,6 +33,8 @@ RIGHT, WRONG, OTHER, UNDECIDED, NONE, MISSED, FAILED = CATEGORIES = (
     "missed",
     "error",
 )
+# Of a confusion, beside its counts.
+CLASS_SIZE = "mean class size"
 # Causes are claimed by these; "none" and "undecided" claim nothing.
 CLAIMS = ("named", "class", "pair")
 # Units of files over SI.
@@ -64,7 +66,7 @@ def score(truth: Record, answer: Record) -> Scored:
     right = {RIGHT: True, OTHER: causes == {"other"}, NONE: True}.get(str(category), False)
     if claim == "other" and not causes:
         category = WRONG
-    out |= {"claim": claim, "claimed": sorted(named), "probability": answer["probability"]}
+    out |= {"claim": claim, "claimed": sorted(named), "probability": answer.get("probability")}
     return out | {
         "category": category,
         "right": right,
@@ -103,10 +105,14 @@ def coverage_of(truth: Record, constants: Mapping[str, Mapping[str, float]]) -> 
 
 def scored(lists: Iterable[Record], answers: Mapping[str, Record]) -> list[Scored]:
     """All lists that were answered."""
+    order = {name: place for place, name in enumerate(answers)}
     return [
         {
             "id": r["id"],
+            "order": order[r["id"]],
             **{key: answers[r["id"]].get(key, "-") for key in ("commit", "date")},
+            "dirty": answers[r["id"]].get("dirty", False),
+            KEY: answers[r["id"]].get(KEY, UNKNOWN),
             **score(r["truth"], answers[r["id"]]),
             "above_limit": above_limit(r, answers[r["id"]]),
         }
@@ -118,7 +124,7 @@ def scored(lists: Iterable[Record], answers: Mapping[str, Record]) -> list[Score
 # Detection limits
 
 # Units of limits over those of hidden sizes, which are SI and degrees.
-_OF_LIMIT = {
+OF_LIMIT = {
     "%": 1e2,
     "% of the area": 1e2,
     "mm": 1e3,
@@ -145,7 +151,7 @@ def above_limit(entry: Record, answer: Record) -> bool | None:
     if size is None or limit is None:
         return None
     smallest, unit = limit
-    return smallest is not None and bool(_OF_LIMIT[unit] * size >= smallest)
+    return smallest is not None and bool(OF_LIMIT[unit] * size >= smallest)
 
 
 def hidden_size(entry: Record) -> float | None:
@@ -186,7 +192,7 @@ def confusion(records: Sequence[Scored], by: Callable[[Scored], str]) -> list[Re
                 "what": name,
                 "lists": len(group),
                 **{c: counts[c] for c in CATEGORIES},
-                "mean class size": round(float(np.mean(sizes)), 2) if sizes else None,
+                CLASS_SIZE: round(float(np.mean(sizes)), 2) if sizes else None,
                 "right": round(float(np.mean([r["right"] for r in group])), 4),
             }
         )
@@ -194,8 +200,8 @@ def confusion(records: Sequence[Scored], by: Callable[[Scored], str]) -> list[Re
 
 
 def honesty(records: Sequence[Scored], claims: Sequence[str]) -> Record:
-    """Mean stated probability of claims, less how often they are right, with its standard error."""
-    chosen = [r for r in records if r.get("claim") in claims]
+    """Mean stated probability of claims that state one, less how often they are right, with its error."""
+    chosen = [r for r in records if r.get("claim") in claims and r["probability"] is not None]
     if not chosen:
         return {"lists": 0, "difference": None, "standard_error": None}
     p = np.array([min(r["probability"], 1.0) for r in chosen])
@@ -240,14 +246,26 @@ def interval(successes: int, n: int) -> tuple[float, float]:
 # Signal to noise from which a cause should be found.
 _STRONG = 8.0
 STRONG = "claimed and right, signal to noise 8 and above"
+# Signal to noise that parts what is missed: noise hides it, weak, and strong.
+_BANDS = (1.0, _STRONG)
 # Groups of lists by the first part of their names.
-HEADLINE, STRESS = "drawn from priors", "by signal to noise"
+HEADLINE, STRESS, BRICKS = "drawn from priors", "by signal to noise", "bricks"
+# Figures that are told by themselves.
+COVERED, COVERED_OF_BRICKS = (
+    "constants in their 95 % intervals",
+    "constants of bricks in their 95 % intervals",
+)
+WRONG_CLAIMS, WRONG_OF_ELEMENTS, WRONG_OF_BRICKS = (
+    "wrong claims",
+    "wrong claims, elements",
+    "wrong claims, bricks",
+)
 GROUPS = {
     "clean": HEADLINE,
     "prior": HEADLINE,
     "two": HEADLINE,
     "list": HEADLINE,
-    "bricks": "bricks",
+    "bricks": BRICKS,
     "beyond": "what no cause is",
     "former": "what misled earlier versions",
     "strength": STRESS,
@@ -263,7 +281,6 @@ def summary(records: Sequence[Scored]) -> Record:
     """Everything that is said of one engine's answers to one set."""
     return {
         "lists": len(records),
-        "by_commit": dict(sorted(Counter(f"{r['commit']} of {r['date']}" for r in records).items())),
         "by_kind": confusion(records, kind_of),
         "by_ratio": confusion([r for r in records if group_of(r) == STRESS], ratio_of),
         "by_noise": confusion(records, lambda r: "noise stated" if r["stated"] else "noise left out"),
@@ -279,7 +296,54 @@ def summary(records: Sequence[Scored]) -> Record:
             for r in records
             if r["category"] == WRONG
         ],
+        "misled": misled(records),
     }
+
+
+def by_engine(records: Sequence[Scored]) -> list[Record]:
+    """The states of the code that answered, in the order of their first answers, each with its own figures.
+
+    dirty : answers given while files of the code differed from the commit
+    """
+    found: dict[tuple[str, ...], list[Scored]] = defaultdict(list)
+    for r in sorted(records, key=lambda r: int(r["order"])):
+        found[r["commit"], r["date"], r[KEY]].append(r)
+    return [
+        {
+            "commit": commit,
+            "date": date,
+            KEY: fingerprint,
+            "lists": len(own),
+            "dirty": sum(bool(r["dirty"]) for r in own),
+            "figures": figures(own),
+        }
+        for (commit, date, fingerprint), own in found.items()
+    ]
+
+
+def misled(records: Sequence[Scored]) -> list[Record]:
+    """The ways in which claims mislead, the commonest first: how often, of how many lists, by which causes.
+
+    An error that is there and is not claimed, by its signal to noise, or another cause claimed.
+    """
+    bands = [
+        ("missed", MISSED, low, high) for low, high in zip((0.0, *_BANDS), (*_BANDS, np.inf), strict=True)
+    ]
+    rows = []
+    for way, category, low, high in (*bands, ("another cause claimed", WRONG, 0.0, np.inf)):
+        of = [r for r in records if category == WRONG or (r["causes"] and low <= _ratio(r) < high)]
+        own = [r for r in of if r["category"] == category]
+        rows.append(
+            {
+                "way": way,
+                "from": low,
+                "below": None if high == np.inf else high,
+                "number": len(own),
+                "of": len(of),
+                "causes": dict(Counter(cause for r in own for cause in r["causes"]).most_common()),
+            }
+        )
+    return sorted((row for row in rows if row["number"]), key=lambda row: -row["number"])
 
 
 def _groups(records: Sequence[Scored]) -> list[str]:
@@ -289,14 +353,15 @@ def _groups(records: Sequence[Scored]) -> list[str]:
 def figures(records: Sequence[Scored]) -> list[Record]:
     """The figures that are predicted, then further ones: what, value, 95 % interval, number of lists."""
     drawn = [r for r in records if group_of(r) == HEADLINE]
-    bricks = [r for r in records if group_of(r) == "bricks"]
+    bricks = [r for r in records if group_of(r) == BRICKS]
+    elements = [r for r in records if group_of(r) != BRICKS]
     clean = [r for r in records if not r["causes"]]
     strong = [r for r in records if r["causes"] not in ([], ["other"]) and _strength(r) >= _STRONG]
     hard = [r for r in records if group_of(r) in ("what no cause is", "what misled earlier versions")]
     stated = honesty(records, (*CLAIMS, "other"))
     return [
-        _covered("constants in their 95 % intervals", drawn),
-        _counted("wrong claims", records, _is(WRONG)),
+        _covered(COVERED, drawn),
+        _counted(WRONG_CLAIMS, records, _is(WRONG)),
         _row(
             "stated probability of a claim, less how often it is right",
             stated["difference"],
@@ -304,12 +369,14 @@ def figures(records: Sequence[Scored]) -> list[Record]:
             stated["lists"],
         ),
         _counted("false claims where nothing is wrong", clean, _is(WRONG)),
-        _covered("constants of bricks in their 95 % intervals", bricks),
+        _covered(COVERED_OF_BRICKS, bricks),
         _covered("constants, of what no cause is and what misled earlier versions", hard),
         _counted(STRONG, strong, _is(RIGHT)),
         _counted("right or open, of what no cause is and what misled earlier versions", hard, _is_not(WRONG)),
         _counted(ABOVE, [r for r in records if r.get("above_limit") is True], _is(RIGHT)),
         _counted(BELOW, [r for r in records if r.get("above_limit") is False], _is(RIGHT)),
+        _counted(WRONG_OF_ELEMENTS, elements, _is(WRONG)),
+        _counted(WRONG_OF_BRICKS, bricks, _is(WRONG)),
     ]
 
 
@@ -331,114 +398,24 @@ def ratio_of(r: Scored) -> str:
     return f"{r['ratio']:3.0f}"
 
 
-def section(
-    total: int,
-    scores: Record,
-    beside: Sequence[str] = (),
-    seal: Record | None = None,
-) -> str:
-    """Markdown of a set: figures beside what was predicted, other methods, what was claimed, wrong claims.
-
-    beside : the lines of `compared`
-    """
-    lines = [f"{scores['lists']} of {total} lists answered, in random order."]
-    predicted = {ABOVE: LIMIT_CHANCE} | ({} if seal is None else seal["predictions"])
-    if seal is not None:
-        lines += [
-            f"Code of commit {seal['code']}, seed {seal['seed']} drawn on {seal['drawn']}. Answered by "
-            + ", ".join(f"{commit} ({n})" for commit, n in scores["by_commit"].items())
-            + "."
-        ]
-    lines += ["", "| | predicted | reached | 95 % interval | of |", "|---|---|---|---|---|"]
-    for row in scores["figures"]:
-        if row["number"]:
-            at = predicted.get(row["what"])
-            low, high = row["interval"]
-            lines.append(
-                f"| {row['what']} | {'-' if at is None else f'{at[0]:g} to {at[1]:g}'} | {row['value']:.3f} "
-                f"| {low:.3f} to {high:.3f} | {row['number']} {row['unit']} |"
-            )
-    plain = scores["coverage"]["plain model"]
-    if plain["constants"]:
-        lines += ["", f"Of the 95 % intervals of the plain model {plain['share']:.3f} hold the truth."]
-    lines += ["", _confusion_table("what is hidden", scores["by_kind"]), *beside]
-    if scores["wrong"]:
-        lines += ["", "Wrong claims:", "", "| list | hidden | claimed | probability |", "|---|---|---|---|"]
-        lines += [
-            f"| {w['id']} | {', '.join(w['causes']) or 'nothing'} "
-            f"| {w['claim']}: {', '.join(w['claimed'])} | {w['probability']:.3f} |"
-            for w in scores["wrong"]
-        ]
-    return "\n".join([*lines, ""])
+def _strength(r: Scored) -> float:
+    """Signal to noise of a list; what is no shift, a mode missed, or was not measured, counts as strong."""
+    return _ratio(r) * 1.001
 
 
-def compared(beside: Record, tuned: Record, names: Mapping[str, str]) -> list[str]:
-    """Lines of Markdown of other methods beside the diagnosis, on the lists that all answered.
-
-    beside : the number of lists, figures and confusion by engine. tuned : the rate and the thresholds.
-    """
-    wrong, of = tuned["rate"]
-    said = (
-        f"Simple methods on the {beside['lists']} lists that all answered. They have the true constants and "
-        "the truths' own elements, which favours them. Each claims from a threshold on, the least at which "
-        f"its rate of wrong claims on development lists is at most the diagnosis's ({wrong} of {of})."
-    )
-    lines = [
-        "",
-        paragraph(said),
-        "",
-        "| | threshold | development: right, wrong, lists | right | wrong | right, signal to noise from 8 |",
-        "|---|---|---|---|---|---|",
-    ]
-    for engine, scores in beside["engines"].items():
-        chosen = tuned["methods"].get(engine)
-        least, counts = "-", "-"
-        if chosen is not None:
-            least = "abstains" if chosen["threshold"] is None else f"{chosen['threshold']:.4g}"
-            counts = ", ".join(str(chosen[key]) for key in (RIGHT, WRONG, "lists"))
-        strong = next(row for row in scores["figures"] if row["what"] == STRONG)
-        found = f"{round(strong['number'] * (strong['value'] or 0.0))} of {strong['number']}"
-        lines.append(
-            f"| {names.get(engine, engine)} | {least} | {counts} | {_number(scores, RIGHT)} "
-            f"| {_number(scores, WRONG)} | {found} |"
-        )
-    return lines
+def _ratio(r: Scored) -> float:
+    value = r["signal_to_noise"]
+    return 1e9 if value is None else float(value)
 
 
-def in_short(total: int, scores: Record) -> str:
-    """Markdown of one point of a list: how often claims are wrong, and how often intervals hold the truth."""
-    n, wrong = int(scores["lists"]), _number(scores, WRONG)
-    low, high = (100.0 * end for end in interval(wrong, n))
-    held = scores["coverage"]["all"]
-    said = f"{n} lists" if n == total else f"{n} of {total} lists so far"
-    counted = "1 wrong claim" if wrong == 1 else f"{wrong} wrong claims"
-    return (
-        "**On independent elements and bricks**, sealed before they were answered "
-        f"([hidden effects](docs/hidden_effects.md), {said}): {counted} (95 % interval {low:.1f} "
-        f"to {high:.1f} % of the lists); {100.0 * held['share']:.0f} % of {held['constants']} intervals of "
-        "95 % held the truth."
-    )
-
-
-def _confusion_table(what: str, rows: Sequence[Record]) -> str:
-    shown = [c for c in CATEGORIES if any(r[c] for r in rows)]
-    head = [what, "lists", *shown]
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    lines += [
-        "| " + " | ".join(str(c) for c in (r["what"], r["lists"], *(r[c] for c in shown))) + " |"
-        for r in rows
-    ]
-    return "\n".join(lines)
-
-
-def _number(scores: Record, category: str) -> int:
+def number_of(scores: Record, category: str) -> int:
+    """How many lists of a summary have a category."""
     return sum(int(row[category]) for row in scores["by_kind"])
 
 
-def _strength(r: Scored) -> float:
-    """Signal to noise of a list; what is no shift, a mode missed, or was not measured, counts as strong."""
-    value = r["signal_to_noise"]
-    return float("inf") if value is None else float(value) * 1.001
+def figure_of(scores: Record, what: str) -> Record:
+    """One of the figures of a summary."""
+    return next(row for row in scores["figures"] if row["what"] == what)
 
 
 def _is(category: str) -> Callable[[Scored], bool]:

@@ -1,0 +1,209 @@
+"""What pages say of the scores of claims, in Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from validation.claims import scoring
+from validation.claims.scoring import ABOVE, CATEGORIES, CLASS_SIZE, LIMIT_CHANCE, RIGHT, STRONG, WRONG
+from validation.reporting import listed, markdown_table, paragraph
+
+Record = dict[str, Any]
+
+# Names of a wrong claim that are told in short.
+_NAMED = 2
+
+
+def section(
+    total: int,
+    scores: Record,
+    engines: Sequence[Record],
+    beside: Sequence[str] = (),
+    seal: Record | None = None,
+) -> str:
+    """A set: figures beside what was predicted, other methods, what was claimed, wrong claims.
+
+    engines : of `scoring.by_engine`. beside : the lines of `compared`
+    """
+    lines = [f"{scores['lists']} of {total} lists answered, in random order."]
+    predictions = {} if seal is None else seal["predictions"]
+    if seal is not None:
+        lines += [f"Code of commit {seal['code']}, seed {seal['seed']} drawn on {seal['drawn']}."]
+    rows = [_figure(row, predictions.get(row["what"])) for row in scores["figures"] if row["number"]]
+    lines += ["", markdown_table(("", "predicted", "reached", "95 % interval", "of", "outcome"), rows)]
+    plain = scores["coverage"]["plain model"]
+    if plain["constants"]:
+        lines += ["", f"Of the 95 % intervals of the plain model {plain['share']:.3f} hold the truth."]
+    lines += ["", *answered_by(engines), "", _confusion_table("what is hidden", scores["by_kind"])]
+    if scores["by_ratio"]:
+        lines += ["", _confusion_table("signal to noise of one cause", scores["by_ratio"])]
+    lines += beside
+    if scores["wrong"]:
+        lines += ["", "Wrong claims:", "", _wrong_claims(scores["wrong"])]
+    return "\n".join([*lines, ""])
+
+
+def _figure(row: Record, predicted: Sequence[float] | None) -> tuple[str, ...]:
+    low, high = row["interval"]
+    of_limits = row["what"] == ABOVE
+    between = LIMIT_CHANCE if of_limits else predicted
+    said, outcome = "-", "-"
+    if between is not None:
+        least, most = between
+        reaches = low <= most and least <= high
+        said = f"{least:g} to {most:g}"
+        outcome = "met" if least <= row["value"] <= most else f"missed{'; its interval reaches it' * reaches}"
+        outcome += "; stated by the answers, not sealed" * of_limits
+    ends = f"{low:.3f} to {high:.3f}"
+    return row["what"], said, f"{row['value']:.3f}", ends, f"{row['number']} {row['unit']}", outcome
+
+
+def answered_by(engines: Sequence[Record]) -> list[str]:
+    """Which states of the code answered, and how each fared."""
+    lines = []
+    if len(engines) > 1:
+        said = (
+            f"The code was changed after answers had been seen: {len(engines)} states of it answered, each "
+            "list once. Figures above are of all of them together, here of each alone."
+        )
+        lines += [paragraph(said), ""]
+    head = (
+        *("answered by commit", "on", "lists", "with changed files"),
+        *(scoring.COVERED, "95 % interval", "wrong claims"),
+    )
+    return [*lines, markdown_table(head, map(_engine, engines))]
+
+
+def _engine(engine: Record) -> tuple[str, ...]:
+    held, wrong = (scoring.figure_of(engine, what) for what in (scoring.COVERED, scoring.WRONG_CLAIMS))
+    share = "-", "-"
+    if held["number"]:
+        low, high = held["interval"]
+        share = f"{held['value']:.3f} of {held['number']}", f"{low:.3f} to {high:.3f}"
+    lists, dirty = str(engine["lists"]), str(engine["dirty"])
+    return engine["commit"], engine["date"], lists, dirty, *share, str(_count(wrong))
+
+
+def compared(beside: Record, tuned: Record, names: Mapping[str, str]) -> list[str]:
+    """Lines about other methods beside the diagnosis, on the lists that all answered.
+
+    beside : the number of lists, figures and confusion by engine. tuned : the rate and the thresholds.
+    """
+    wrong, of = tuned["rate"]
+    said = (
+        f"Simple methods on the {beside['lists']} lists that all answered. They have the true constants and "
+        "the truths' own elements, which favours them. Each claims from a threshold on, the least at which "
+        f"its rate of wrong claims on development lists is at most the diagnosis's ({wrong} of {of})."
+    )
+    head = ("", "threshold", "development: right, wrong, lists", "right", "wrong")
+    rows = [_method(engine, scores, tuned, names) for engine, scores in beside["engines"].items()]
+    table = markdown_table((*head, "right, signal to noise from 8"), rows)
+    return ["", paragraph(said), "", table, "", paragraph(_unequal(beside, tuned))]
+
+
+def _unequal(beside: Record, tuned: Record) -> str:
+    """That the methods do not claim wrongly as often as the diagnosis."""
+    engines = beside["engines"]
+    ours, *others = (scoring.number_of(scores, WRONG) for scores in engines.values())
+    lists = sorted({chosen["lists"] for chosen in tuned["methods"].values()})
+    thresholds = f", thresholds of {' and '.join(map(str, lists))}" if lists else ""
+    between = f"{min(others)} to {max(others)}" if min(others) < max(others) else str(min(others))
+    return (
+        "The rates of wrong claims are not equal on these lists, so neither are the numbers of right ones to "
+        f"be read as at one rate: {ours} wrong by the diagnosis, {between} by the others. The rate is of "
+        f"{tuned['rate'][1]} development lists, answered by {listed(tuned['answered_by'])}{thresholds}."
+    )
+
+
+def _method(engine: str, scores: Record, tuned: Record, names: Mapping[str, str]) -> tuple[str, ...]:
+    chosen = tuned["methods"].get(engine)
+    least, counts = "-", "-"
+    if chosen is not None:
+        least = "abstains" if chosen["threshold"] is None else f"{chosen['threshold']:.4g}"
+        counts = ", ".join(str(chosen[key]) for key in (RIGHT, WRONG, "lists"))
+    strong = scoring.figure_of(scores, STRONG)
+    right, wrong = (str(scoring.number_of(scores, category)) for category in (RIGHT, WRONG))
+    return names.get(engine, engine), least, counts, right, wrong, f"{_count(strong)} of {strong['number']}"
+
+
+def in_short(total: int, scores: Record, seal: Record) -> str:
+    """A list of two points: elements and bricks, and the commonest ways to be misled."""
+    n = int(scores["lists"])
+    answered = f"all {n}" if n == total else f"{n} of {total}"
+    (least, most), (_, wrong) = (
+        [100.0 * end for end in seal["predictions"][what]] for what in (scoring.COVERED, scoring.WRONG_CLAIMS)
+    )
+    said = (
+        f"**Sealed lists** ([{answered} answered](docs/hidden_effects.md)). Elements: "
+        f"{_share(scores, scoring.COVERED)} 95 % intervals hold the constant ({least:.0f} to {most:.0f} "
+        f"predicted), {_counted(scores, scoring.WRONG_OF_ELEMENTS)} lists are claimed wrongly "
+        f"({_between(scores, scoring.WRONG_OF_ELEMENTS)}; at most {wrong:.0f} predicted of all). Bricks: "
+        f"{_share(scores, scoring.COVERED_OF_BRICKS)}; {_counted(scores, scoring.WRONG_OF_BRICKS)} "
+        f"({_between(scores, scoring.WRONG_OF_BRICKS)})."
+    )
+    ways = "; ".join(_way(row, scores["wrong"]) for row in scores["misled"][:3])
+    return "\n".join(paragraph(point, "- ") for point in (said, f"**Misled by** {ways}."))
+
+
+def _share(scores: Record, what: str) -> str:
+    row = scoring.figure_of(scores, what)
+    return f"{100.0 * (row['value'] or 0.0):.0f} % of {row['number']}"
+
+
+def _counted(scores: Record, what: str) -> str:
+    row = scoring.figure_of(scores, what)
+    return f"{_count(row)} of {row['number']}"
+
+
+def _between(scores: Record, what: str) -> str:
+    low, high = (100.0 * end for end in scoring.figure_of(scores, what)["interval"])
+    return f"{low:.1f} to {high:.1f} %"
+
+
+def _way(row: Record, wrong: Sequence[Record]) -> str:
+    counted = f"{row['number']} of {row['of']}"
+    if row["way"] != scoring.MISSED:
+        surest = max(wrong, key=lambda w: float(w["probability"]))
+        hidden, named = listed(_code(surest["causes"])), _code(surest["claimed"])
+        called = " or ".join((*named[:_NAMED], *("others" for _ in named[_NAMED : _NAMED + 1])))
+        return f"{row['way']} ({counted}: {hidden or 'nothing'} called {called})"
+    if not row["from"]:
+        return (
+            f"errors that noise or constants hide (signal to noise below {row['below']:g}: {counted} missed)"
+        )
+    if row["below"]:
+        return f"weak errors ({row['from']:g} to {row['below']:g}: {counted} missed)"
+    return f"clear errors (from {row['from']:g}: {counted} missed)"
+
+
+def _code(names: Sequence[str]) -> list[str]:
+    return [f"`{name}`" for name in names]
+
+
+def _wrong_claims(wrong: Sequence[Record]) -> str:
+    return markdown_table(
+        ("list", "hidden", "claimed", "probability"),
+        [
+            (
+                w["id"],
+                ", ".join(w["causes"]) or "nothing",
+                f"{w['claim']}: {', '.join(w['claimed'])}",
+                f"{w['probability']:.3f}",
+            )
+            for w in wrong
+        ],
+    )
+
+
+def _confusion_table(what: str, rows: Sequence[Record]) -> str:
+    shown = ("lists", *(c for c in CATEGORIES if any(r[c] for r in rows)))
+    sizes = ("-" if r[CLASS_SIZE] is None else f"{r[CLASS_SIZE]:.1f}" for r in rows)
+    return markdown_table(
+        (what, *shown, f"{CLASS_SIZE}, of right claims"),
+        [(r["what"].strip(), *(str(r[c]) for c in shown), size) for r, size in zip(rows, sizes, strict=True)],
+    )
+
+
+def _count(row: Record) -> int:
+    return round(float(row["number"] * (row["value"] or 0.0)))

@@ -1,0 +1,125 @@
+"""Which state of the code computed a result: fingerprints of cases, and that of a study by its oldest case.
+
+A row of a study's results keeps under "fingerprint" that of the code that computed it, from when it was
+computed. `LEDGER` has one a study: today's if all its rows have it, or if none has any and all was computed
+at once; else the first of another state. Rows that were saved without one have what is recorded of their
+study, "unknown" where nothing is.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import cpam_bayes
+from cpam_bayes.fingerprint import fingerprint_of_script
+
+STUDIES: Final = Path(__file__).parents[1]
+LEDGER = STUDIES / "results" / "fingerprints.json"
+KEY: Final = "fingerprint"
+UNKNOWN: Final = "unknown"
+
+# How results are kept and written is no part of what computes them.
+_KEEPING: Final = frozenset({"fingerprints", "reporting"})
+_OF_NOTHING: Final = hashlib.sha256().hexdigest()[:12]
+
+
+@cache
+def fingerprint_of_study(name: str) -> str:
+    """Of the package's sources that a study uses, by itself and through `validation`, joined by "+".
+
+    They are read once: sources that are changed while a study runs are not those that compute it.
+    """
+    scripts = _scripts(STUDIES / f"{name}.py")
+    found = {fingerprint_of_script(script, cpam_bayes._PUBLIC) for script in scripts}
+    return "+".join(sorted(found - {_OF_NOTHING}))
+
+
+def remember(script: Path) -> None:
+    """Take the fingerprint of a study that is started before it computes anything; of other scripts none."""
+    if script.resolve().parent == STUDIES and script.stem[:1].isdigit():
+        fingerprint_of_study(script.stem)
+
+
+def is_of_study(path: Path) -> bool:
+    """Whether a file holds the results of a study."""
+    return path.parent == LEDGER.parent and path != LEDGER
+
+
+def stamped(row: dict[str, Any], path: Path, fingerprint: str | None = None) -> dict[str, Any]:
+    """A row of a study's results with the fingerprint of today's code, or this one; one that it has stays."""
+    if not is_of_study(path):
+        return row
+    return {**row, KEY: row.get(KEY, fingerprint or fingerprint_of_study(path.stem))}
+
+
+def with_recorded(results: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Saved results, their rows with the fingerprints that are known of them."""
+    before = recorded().get(path.stem, UNKNOWN)
+    return {
+        key: [stamped(row, path, before) if isinstance(row, dict) else row for row in rows]
+        if isinstance(rows, list)
+        else rows
+        for key, rows in results.items()
+    }
+
+
+def recorded() -> dict[str, str]:
+    """The fingerprints of all studies' saved results."""
+    found: dict[str, str] = json.loads(LEDGER.read_text("utf-8")) if LEDGER.exists() else {}
+    return found
+
+
+def record(path: Path, results: dict[str, Any]) -> None:
+    """Enter the results of a study into the ledger, by their oldest case."""
+    today = fingerprint_of_study(path.stem)
+    found = next((other for other in _fingerprints(results) if other != today), today)
+    known = dict(sorted({**recorded(), path.stem: found}.items()))
+    LEDGER.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
+
+
+def is_outdated(study: str) -> bool:
+    """Whether a study's results are of other sources than today's, or of unknown ones."""
+    return recorded().get(study) != fingerprint_of_study(study)
+
+
+def _fingerprints(results: dict[str, Any]) -> Iterator[str]:
+    """Of the rows of each list in which any has one."""
+    for rows in results.values():
+        if isinstance(rows, list) and any(isinstance(row, dict) and KEY in row for row in rows):
+            yield from (row.get(KEY, UNKNOWN) for row in rows)
+
+
+def _scripts(script: Path) -> list[Path]:
+    """A script and all files of `validation` that it imports, at any depth."""
+    found: list[Path] = []
+    waiting = [script]
+    while waiting:
+        file = waiting.pop()
+        if file in found or file.stem in _KEEPING:
+            continue
+        found.append(file)
+        for name in _imported(ast.parse(file.read_text("utf-8"))):
+            other = STUDIES.joinpath(*name.split(".")).with_suffix(".py")
+            if name.startswith("validation.") and other.is_file():
+                waiting.append(other)
+    return found
+
+
+def _imported(tree: ast.Module) -> Iterator[str]:
+    """Full names of the modules that a file imports, those of names in them included."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+remember(Path(sys.argv[0]))
