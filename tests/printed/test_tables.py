@@ -195,3 +195,15 @@ def test_a_contradiction_begins_one_printed_digit_beyond_rounding(printed: str, 
     # 2.0 over 1.0, each half a digit off: 1.95 / 1.05 - 1 to 2.05 / 0.95 - 1, so 85.71 to 115.79 %
     row = PrintedConstant("nu12", "1.0", ("2.0",), (printed,))
     assert (contradictions(replace(table, levels_percent=(1.0,), constants=(row,))) == ()) is possible
+
+
+def test_notes_of_densities_and_of_the_bound_of_e2_are_those_of_the_print() -> None:
+    (density,) = (note for note in printed_table(2).notes if "g/cm3" in note)
+    of = {row.specimen: row.values["density_g_cm3"].text for row in printed_table(2).rows}
+    assert {of[name] for name in ("C1", "C2", "D2", "C3", "C4", "D3", "D4")} == {"1.59"}
+    assert "1.59 g/cm3" in density
+    (bound,) = (note for note in printed_table(6).notes if "Eq. (8)" in note)
+    rows = [row for number in (6, 8) for row in printed_table(number).rows if row.role == "identified"]
+    e2 = [row.values["E2_GPa"].text for row in rows if "E2_GPa" in row.values]
+    assert f"{min(e2)} to {max(e2)} GPa" in bound
+    assert float(min(e2)) > 40.0
