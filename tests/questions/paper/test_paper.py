@@ -268,6 +268,7 @@ def test_the_page_begins_with_what_is_wrong_with_the_plates_that_no_constants_ex
     assert "whatever the constants" not in "".join(first)
     # beside the constants near the data sheet those of the least F, which fit D4 and C3 far better
     assert ("2.2 % at the least F" in said["C3"], "2.7 % at the least F" in said["D4"]) == (True, True)
+    assert "2.2 % at the least F (E1 128 GPa)" in said["C3"], "of a glass/epoxy plate"
     assert "a plate 1.84 times as thick would have them (about 3.7 mm and not 2 mm" in said["C3"]
     assert "Table 2 gives 3.5 mm to D3 and D4" in said["C4"]
     assert {name for name, line in said.items() if "no one factor" in line} == {"D1", "D3", "D4"}
