@@ -20,6 +20,7 @@ from cpam_bayes.questions.paper.work import (
     Task,
     comes_with_the_package,
     diagnosis_row,
+    frequency_scale,
     packaged,
     read,
 )
@@ -90,63 +91,83 @@ def rows_file(results: Results) -> str:
     return csv_text(row_table(results["paper"]))
 
 
-def stored() -> dict[str, Results]:
-    """The results that come with the package, from those of studies 02, 07, 08 and 12."""
-    agreement, swarms, sequences, findings = (
-        json.loads((FOLDER / "results" / f"{name}.json").read_text("utf-8")) for name in RUNS
-    )
-    plates = {row["plate"]: row for row in agreement["specimens"] if row["bricks"] is not None}
-    cases = {row["case"]: row for row in sequences["cases"] if row["case"] in identified_layups()}
-    names = {row.specimen for n in (11, 12, 13, 14) for row in printed_table(n).rows}
-    free = {row["case"]: row for row in swarms["cases"] if row["data"] == "printed" and row["case"] in names}
-    measured = {row.specimen for n in (1, 4) for row in printed_table(n).rows}
-    alone = {row["plates"][0]: row for row in findings["groups"] if len(row["plates"]) == 1}
-    diagnosed = {name: row for name, row in alone.items() if name in measured}
+def stored(name: str) -> Results:
+    """The results that come with the package under a name, from those of studies 02, 07, 08 and 12."""
+    return STORED_BY[name]()
+
+
+def _results(study: str) -> Any:
+    return json.loads((FOLDER / "results" / f"{study}.json").read_text("utf-8"))
+
+
+def _calculix() -> Results:
+    specimens = _results("02_agreement")["specimens"]
+    plates = {row["plate"]: row for row in specimens if row["bricks"] is not None}
     return {
-        "calculix": {
-            **RUNS["02_agreement"],
-            "command": "python studies/02_agreement.py",
-            "seconds": sum(row["bricks"]["seconds"] for row in plates.values()),
-            "seconds_each": {name: row["bricks"]["seconds"] for name, row in plates.items()},
-            "frequencies_hz": {
-                name: [
-                    f * (1.0 + d / 100.0)
-                    for f, d in zip(row["frequencies_hz"], row["bricks"]["deviations_percent"], strict=True)
-                ]
-                for name, row in plates.items()
-            },
-        },
-        "sequences": {
-            **RUNS["08_sequences"],
-            "command": "python studies/08_sequences.py",
-            "seconds": sum(row["seconds"] for row in cases.values()),
-            "cases": {
-                name: {
-                    **{key: row[key] for key in ("enumerated", "credible_95_count", "unaccounted")},
-                    "most_probable": {k: row["most_probable"][k] for k in ("angles_deg", "probability")},
-                    "printed": row["printed"],
-                }
-                for name, row in cases.items()
-            },
-        },
-        "swarms": {
-            **RUNS["07_fpso"],
-            "command": "python studies/07_fpso.py",
-            "seconds": sum(
-                row["cost"]["solve_s"] * sum(run["evaluations"] for run in row["runs"])
-                for row in free.values()
-            ),
-            "cases": {
-                name: {"angles_deg": [run["angles_deg"] for run in row["runs"]]} for name, row in free.items()
-            },
-        },
-        "diagnoses": {
-            **RUNS["12_findings"],
-            "command": "python studies/12_findings.py",
-            "seconds": sum(row["seconds"] for row in diagnosed.values()),
-            "plates": {name: diagnosis_row(row) for name, row in diagnosed.items()},
+        **RUNS["02_agreement"],
+        "command": "python studies/02_agreement.py",
+        "seconds": sum(row["bricks"]["seconds"] for row in plates.values()),
+        "seconds_each": {name: row["bricks"]["seconds"] for name, row in plates.items()},
+        "frequencies_hz": {
+            name: [
+                f * (1.0 + d / 100.0)
+                for f, d in zip(row["frequencies_hz"], row["bricks"]["deviations_percent"], strict=True)
+            ]
+            for name, row in plates.items()
         },
     }
+
+
+def _sequences() -> Results:
+    every = _results("08_sequences")["cases"]
+    cases = {row["case"]: row for row in every if row["case"] in identified_layups()}
+    return {
+        **RUNS["08_sequences"],
+        "command": "python studies/08_sequences.py",
+        "seconds": sum(row["seconds"] for row in cases.values()),
+        "cases": {
+            name: {
+                **{key: row[key] for key in ("enumerated", "credible_95_count", "unaccounted")},
+                "most_probable": {k: row["most_probable"][k] for k in ("angles_deg", "probability")},
+                "printed": row["printed"],
+            }
+            for name, row in cases.items()
+        },
+    }
+
+
+def _swarms() -> Results:
+    """Ends of searches of angles and constants without noise, of the plates of Tables 11 to 14."""
+    names = {row.specimen for n in (11, 12, 13, 14) for row in printed_table(n).rows}
+    every = _results("07_fpso")["cases"]
+    free = {row["case"]: row for row in every if row["data"] == "printed" and row["case"] in names}
+    return {
+        **RUNS["07_fpso"],
+        "command": "python studies/07_fpso.py",
+        "seconds": sum(
+            row["cost"]["solve_s"] * sum(run["evaluations"] for run in row["runs"]) for row in free.values()
+        ),
+        "cases": {
+            name: {"angles_deg": [run["angles_deg"] for run in row["runs"]]} for name, row in free.items()
+        },
+    }
+
+
+def _diagnoses() -> Results:
+    """With the factor on each plate's frequencies, which takes a second a plate."""
+    groups = _results("12_findings")["groups"]
+    alone = {row["plates"][0]: row for row in groups if len(row["plates"]) == 1}
+    measured = {row.specimen for n in (1, 4) for row in printed_table(n).rows}
+    diagnosed = {name: row for name, row in alone.items() if name in measured}
+    return {
+        **RUNS["12_findings"],
+        "command": "python studies/12_findings.py",
+        "seconds": sum(row["seconds"] for row in diagnosed.values()),
+        "plates": {name: {**diagnosis_row(row), **frequency_scale(name)} for name, row in diagnosed.items()},
+    }
+
+
+STORED_BY = {"calculix": _calculix, "sequences": _sequences, "swarms": _swarms, "diagnoses": _diagnoses}
 
 
 def main() -> None:
@@ -162,8 +183,8 @@ def main() -> None:
     add_executor_options(parser)
     args = parser.parse_args()
     if args.stored:
-        for name, content in stored().items():
-            save_results(STORED / f"{name}.json", content)
+        for name in STORED_BY:
+            save_results(STORED / f"{name}.json", stored(name))
         return
     if args.quick:
         print(page(run(True, args.executor, args.workers)["paper"]))

@@ -277,6 +277,7 @@ class TableCounts(TypedDict):
     table: int
     title: str
     verdicts: dict[str, int]
+    verdicts_of_others: Annotated[dict[str, int], Field(description="of them, of works that the paper cites")]
     percentages: dict[str, int]
 
 
@@ -324,7 +325,8 @@ class Misfit(TypedDict):
     swarms: int
     swarms_found: Annotated[int, Field(description="swarms that ended at the least F")]
     swarms_converged: int
-    on_bounds: Annotated[Texts, Field(description="constants that sit on a bound")]
+    on_bounds: Annotated[Texts, Field(description="constants that sit on a bound, or `E1 = E2`")]
+    beyond_eq_8: Annotated[dict[str, Pair], Field(description="bounds other than those of eq. (8)")]
 
 
 class Audit(TypedDict):
@@ -332,6 +334,7 @@ class Audit(TypedDict):
 
     misprints: Texts
     means_of_ten: str | None
+    not_determined: str | None
     angles: str | None
     percentages: list[Percentage]
     misfits: list[Misfit]
@@ -347,6 +350,7 @@ class WellPosed(TypedDict):
     unknowns: int
     left_percent: Percent
     repeatability_percent: Percent
+    rounding_percent: Percent
     rank: int
     condition: Number
     optima: int
@@ -372,6 +376,12 @@ class SimulationError(TypedDict):
     log_bayes_factor: Nats
     held_out: Annotated[Number, Field(description="difference of log scores, nats")]
     held_out_se: StandardError
+    frequency_ratio: Annotated[Number, Field(description="measured over the printed plate's, geometric mean")]
+    scaled_rms_percent: Annotated[Number, Field(description="misfit that this factor leaves, %")]
+    thickness_mm: Annotated[Number, Field(description="as printed")]
+    of_one_material_mm: Annotated[
+        dict[str, Number], Field(description="thickness of the material's other plates")
+    ]
 
 
 class Cost(TypedDict):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -149,13 +150,17 @@ def outer_and_inner(information: AngleInformation) -> str:
 
 
 class _Moments(NamedTuple):
-    """A constant over all sequences, given the first and given the printed one: mean and sd as written."""
+    """A constant over all sequences, given the first and given the printed one: mean and sd as written.
+
+    off : what emcee and importance sampling differ by at most.
+    """
 
     name: str
     over_all: tuple[str, str]
     first: tuple[str, str] | None
     printed: tuple[str, str] | None
     reference: str
+    off: str
 
 
 def mixture_table(answer: StackingPosterior, mixture: StackingMixture, given: GivenLayup | None) -> Table:
@@ -183,6 +188,7 @@ def mixture_table(answer: StackingPosterior, mixture: StackingMixture, given: Gi
                 written(first),
                 written(printed),
                 significant(unit * float(reference[name])) if name in reference else "",
+                _off_importance(mixture, i),
             )
         )
     columns = (
@@ -194,8 +200,23 @@ def mixture_table(answer: StackingPosterior, mixture: StackingMixture, given: Gi
         Column("given the printed one", None, lambda r: r.printed and r.printed[0], number=True),
         Column("sd", None, lambda r: r.printed and r.printed[1], number=True),
         Column("reference", None, lambda r: r.reference, number=True),
+        Column("emcee off importance sampling, standard errors", None, lambda r: r.off, number=True),
     )
     return Rows("constants", columns, tuple(rows)).table("Constants over all sequences")
+
+
+def _off_importance(mixture: StackingMixture, i: int) -> str:
+    """The largest difference of a parameter's mean or sd between emcee and importance sampling."""
+    off = (
+        abs(a - b) / math.hypot(a_error, b_error)
+        for c in mixture.sampled
+        for a, b, a_error, b_error in (
+            (c.chains.mean[i], c.importance.mean[i], c.chains.mean_error[i], c.importance.mean_error[i]),
+            (c.chains.sd[i], c.importance.sd[i], c.chains.sd_error[i], c.importance.sd_error[i]),
+        )
+    )
+    worst = max(off, default=None)
+    return "" if worst is None else f"{worst:.1f}"
 
 
 def same_bending(answer: StackingPosterior) -> tuple[tuple[str, str], ...]:

@@ -200,3 +200,15 @@ def test_a_contradiction_begins_one_printed_digit_beyond_rounding(printed: str, 
     cells = {WITHOUT_NOISE: PrintedValue("1.0"), "1 % disorder": PrintedValue("2.0", printed)}
     rows = tuple(PrintedRow("", "C1", source, "identified", {"nu12": cell}) for source, cell in cells.items())
     assert (contradictions(replace(table, rows=rows)) == ()) is possible
+
+
+def test_notes_of_densities_and_of_the_bound_of_e2_are_those_of_the_print() -> None:
+    (density,) = (note for note in printed_table(2).notes if "g/cm3" in note)
+    of = {row.specimen: row.values["density_g_cm3"].text for row in printed_table(2).rows}
+    assert {of[name] for name in ("C1", "C2", "D2", "C3", "C4", "D3", "D4")} == {"1.59"}
+    assert "1.59 g/cm3" in density
+    (bound,) = (note for note in printed_table(6).notes if "Eq. (8)" in note)
+    rows = [row for number in (6, 8) for row in printed_table(number).rows if row.role == "identified"]
+    e2 = [row.values["E2_GPa"].text for row in rows if "E2_GPa" in row.values]
+    assert f"{min(e2)} to {max(e2)} GPa" in bound
+    assert float(min(e2)) > 40.0

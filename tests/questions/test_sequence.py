@@ -63,6 +63,18 @@ def test_the_document_has_what_the_contract_names() -> None:
     assert work(result)["noise"].startswith("1.0 % of a frequency, from the plate file; alone it leaves")
 
 
+def test_emcee_stands_beside_importance_sampling_for_each_constant_on_the_full_screen() -> None:
+    mixed = mixture()
+    wrong = replace(mixed.components[1], importance=mixed.components[0].importance)
+    for components in (mixed.components, (*mixed.components[:1], wrong)):
+        result = stacking_result(answer(), replace(mixed, components=components), None, 0, 5)
+        table = tables(result)["Constants over all sequences"]
+        headings = [column.text for column in table.columns]
+        at = headings.index("emcee off importance sampling, standard errors")
+        worst = result.to_dict()["mixture"]["worst_difference_in_standard_errors"]
+        assert max(float(row[at]) for row in table.rows) == pytest.approx(worst, abs=0.05)
+
+
 def test_the_printed_sequence_stands_in_document_and_screen() -> None:
     own, mixed = answer(), mixture()
     given = given_layup(own, np.array(TRUE))

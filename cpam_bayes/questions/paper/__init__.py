@@ -8,7 +8,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Final
@@ -34,6 +34,7 @@ from cpam_bayes.questions.paper.noise import means_of_ten, noise_rows
 from cpam_bayes.questions.paper.present import page, report_of, row_table
 from cpam_bayes.questions.paper.rows import (
     BUILT_IN,
+    CONSTRAINT,
     FOUR,
     TWO,
     VERDICTS,
@@ -41,11 +42,14 @@ from cpam_bayes.questions.paper.rows import (
     Record,
     Results,
     Row,
+    by_others,
     constant_rows,
     disagreements,
     frequency_rows,
     input_rows,
     layup_rows,
+    not_determined,
+    share_of_bounds,
 )
 from cpam_bayes.questions.paper.work import (
     FULL,
@@ -53,16 +57,20 @@ from cpam_bayes.questions.paper.work import (
     QUICK,
     Effort,
     Task,
+    beyond_eq_8,
+    bounds_of,
     calculix_frequencies,
     comes_with_the_package,
     diagnoses,
     hadamard,
     packaged,
     read,
+    rounding_percent,
     sequence_cases,
     simulation_errors,
     stamp,
     swarms_without_noise,
+    with_ends,
     work,
     write,
 )
@@ -245,8 +253,13 @@ def compared(
     """
     stored = {**{name: packaged(name) for name in _SLOW}, **(slow or {})}
     calculix, sequences, diagnosed = (stored[name] for name in ("calculix", "sequences", "diagnoses"))
+    computed = {task: with_ends(task, results) for task, results in computed.items()}
     by_task: Computed = {(task.kind, task.specimen, task.case): results for task, results in computed.items()}
-    rows = tuple(row for n in numbers for row in _rows(n, by_task, stored))
+    rows = tuple(
+        row if row.q025 is None else share_of_bounds(row, bounds_of(row.specimen, _sought(row)))
+        for n in numbers
+        for row in _rows(n, by_task, stored)
+    )
     return PaperResult(
         seed=seed,
         notices=tuple(_notices(computed, quick)),
@@ -343,6 +356,11 @@ def _rows(number: int, computed: Computed, stored: Mapping[str, Mapping[str, Any
         yield from noise_rows(table, computed, stored["sequences"], stored["swarms"])
 
 
+def _sought(row: Row) -> str:
+    """The choice of unknowns that a row's interval is of."""
+    return FOUR if row.table in (6, 8) and TWO not in row.source else BUILT_IN
+
+
 def _by_table(computed: Mapping[Task, Results], key: str) -> Iterator[tuple[Task, Results]]:
     """Tasks whose results have a key, by table and specimen."""
     ordered = sorted(computed.items(), key=lambda item: (item[0].table, item[0].specimen, item[0].case))
@@ -354,7 +372,8 @@ def _well_posed(computed: Mapping[Task, Results], sequences: Mapping[str, Any]) 
     for task, results in _by_table(computed, "well_posed"):
         stored = sequences["cases"].get(task.specimen) if task.table == 9 else None
         layups = None if stored is None else stored["credible_95_count"]
-        yield hadamard(task, results["well_posed"], layups, repeatability)
+        rounding = rounding_percent(task.specimen)
+        yield hadamard(task, results["well_posed"], layups, repeatability, rounding)
 
 
 def _costs(computed: Mapping[Task, Results], calculix: Mapping[str, Any]) -> Iterator[Record]:
@@ -386,8 +405,19 @@ def _misfits(computed: Mapping[Task, Results]) -> Iterator[Record]:
                 "swarms": results["swarms"],
                 "swarms_found": results["swarms_found"],
                 "swarms_converged": results["swarms_converged"],
-                "on_bounds": [k for k, c in results["constants"].items() if c["bound"] is not None],
+                "on_bounds": list(_ends(results["constants"])),
+                "beyond_eq_8": beyond_eq_8(task.specimen, task.case),
             }
+
+
+def _ends(constants: Mapping[str, Mapping[str, Any]]) -> Iterable[str]:
+    """Constants that sit on a bound, and the constraint where two sit on it."""
+    found = (
+        CONSTRAINT if c["bound"] == CONSTRAINT else name
+        for name, c in constants.items()
+        if c["bound"] is not None
+    )
+    return dict.fromkeys(found)
 
 
 def _slow(numbers: Sequence[int]) -> tuple[str, ...]:
@@ -425,6 +455,7 @@ def _document(result: PaperResult) -> dict[str, Any]:
         "audit": {
             "misprints": [note for n in result.numbers for note in _misprints(printed_table(n))],
             "means_of_ten": means_of_ten(result.rows) or None,
+            "not_determined": not_determined(result.rows) or None,
             "angles": noisy_angles(result.rows) or None,
             "percentages": [
                 {
@@ -453,11 +484,13 @@ def _document(result: PaperResult) -> dict[str, Any]:
 def _counts(rows: tuple[Row, ...], number: int) -> dict[str, Any]:
     """Verdicts of a table's rows, and how many of its percentages follow from their digits."""
     verdicts = Counter(row.verdict for row in rows if row.table == number)
+    of_others = Counter(row.verdict for row in rows if row.table == number and by_others(row.source))
     percentages = Counter(check.agreement for check in percentage_checks(number))
     return {
         "table": number,
         "title": printed_table(number).title,
         "verdicts": {verdict: verdicts[verdict] for verdict in VERDICTS},
+        "verdicts_of_others": {verdict: of_others[verdict] for verdict in VERDICTS},
         "percentages": {agreement: percentages[agreement] for agreement in AGREEMENTS},
     }
 
@@ -486,12 +519,15 @@ def _record(row: Row) -> dict[str, Any]:
 
 
 def _misprints(table: PrintedTable) -> Iterator[str]:
-    """Misprints of a table and what else contradicts itself in it, a sentence each."""
+    """Misprints of a table and what else contradicts itself in it, a sentence each, one for rows alike."""
+    places: dict[tuple[str, str], list[str]] = {}
     for row, column, misprint in table.misprints:
-        where = ", ".join(part for part in (row.specimen, row.source, column) if part)
         cell = row.values[column]
         said = cell.text if misprint.print == "value" else f"{cell.percent} %"
-        yield f"Table {table.number}, {where}, printed {said}: {misprint.note}"
+        where = ", ".join(part for part in (row.specimen, row.source, column) if part)
+        places.setdefault((f"printed {said}", misprint.note), []).append(where)
+    for (said, note), each in places.items():
+        yield f"Table {table.number}, {'; '.join(each)}, {said}: {note}"
     yield from (f"Table {table.number}: {note}" for note in table.notes)
 
 

@@ -13,6 +13,7 @@ from typing import Any, Final
 from cpam_bayes.formatting import listed, signed, significant
 from cpam_bayes.printed.tables import AGREEMENTS
 from cpam_bayes.questions.paper.drawings import OF_THE_PAPER, drawings
+from cpam_bayes.questions.paper.plates import diagnosed, wrong_plates
 from cpam_bayes.questions.paper.rows import (
     AGREES,
     BUILT_IN,
@@ -37,8 +38,6 @@ from cpam_bayes.render.report import (
 from cpam_bayes.render.terminal import duration
 
 _FREQUENCY_TABLES: Final = (1, 5)
-# Misfit of the plain model, %, from which on a plate's list is not that of the printed plate.
-_UNEXPLAINED_PERCENT: Final = 5.0
 
 
 def _of(
@@ -58,7 +57,7 @@ _ONE_DECIMAL: Final = partial(signed, decimals=1)
 def _ours(row: Record) -> str | None:
     ours = row["ours"]
     if isinstance(ours, list):
-        return f"[{', '.join(f'{angle:g}' for angle in ours)}]"
+        return "/".join(f"{angle:g}" for angle in ours)
     return None if ours is None else significant(ours, 5 if row["table"] in _FREQUENCY_TABLES else 4)
 
 
@@ -104,18 +103,22 @@ _ROWS: Final = (
 
 
 def _outside(row: Record) -> str | None:
-    """Why ours lies outside its own interval, in few words; None where it does not."""
+    """Why ours lies outside its own interval, in few words; None where it does not.
+
+    It is a mean of inversions of noisy lists, sits on a bound or on E1 = E2, or eq. (7) weighs high modes
+    most.
+    """
     low, high, ours = row["q025"], row["q975"], row["ours"]
     if low is None or high is None or low <= ours <= high:
         return None
     if "repetition_sd" in row["details"]:
-        return "a mean of noisy lists"
-    return "on a bound" if row["details"]["on_bound"] else "residuals in Hz"
+        return "noisy lists"
+    return "on a bound" if row["details"]["on_bound"] else "high modes"
 
 
 _BRIEF: Final = (
     *_VALUES,
-    _shown("ours is outside, being", _outside),
+    _shown("why ours is outside", _outside),
     _of("verdict_kind", "verdict"),
 )
 
@@ -157,11 +160,18 @@ _MISFITS: Final = (
     _of("swarms"),
     _of("swarms_found"),
     _of("swarms_converged", "swarms converged", number=True),
-    _of("on_bounds", "on a bound", " ".join),
+    _of("on_bounds", "on a bound or E1 = E2", ", ".join),
 )
-_OF_A_PAGE: Final = frozenset({"objective", "our_objective", "rms_percent", "our_rms_percent", "on_bounds"})
+
+
+def _case(misfit: Record) -> str:
+    """The plate, with the number of unknown constants where there is a choice."""
+    return str(misfit["specimen"]) + ("" if misfit["case"] == BUILT_IN else f", {misfit['case']}")
+
+
+_OF_A_PAGE: Final = frozenset({"rms_percent", "our_rms_percent", "on_bounds"})
 _OWN_MISFITS: Final = (
-    _shown("specimen", lambda m: m["specimen"] + ("" if m["case"] == BUILT_IN else f", {m['case']}")),
+    _shown("specimen", _case),
     *(column for column in _MISFITS if column.key in _OF_A_PAGE),
 )
 _SIMULATION: Final = (
@@ -179,6 +189,8 @@ _SIMULATION: Final = (
     _of("log_bayes_factor", "log Bayes factor", _ONE_DECIMAL, number=True),
     _of("held_out"),
     _of("held_out_se"),
+    _of("frequency_ratio", "measured over printed plate", _THREE_DIGITS, number=True),
+    _of("scaled_rms_percent", "rms % after this factor", _TWO_DIGITS, number=True),
     _shown(
         "frequencies left out",
         lambda e: None if e["held_out"] is None else f"{signed(e['held_out'], 1)} +- {e['held_out_se']:.1f}",
@@ -210,29 +222,12 @@ def _by_ply(key: str, form: str, row: Record) -> str:
     return " ".join(format(v, form) for name, v in row["details"].items() if name.startswith(key))
 
 
-def _probability_of(which: str, row: Record) -> str | None:
-    found = _detail(f"{which}_probability", row)
-    return None if found is None else f"{found:.1g}"
-
-
-def _chances(row: Record) -> str:
-    """Shares of uniform angles that are as near the print as the inversions, and as close together, %."""
-    shares = (100.0 * row["details"][key] for key in ("chance_near", "chance_close"))
-    return ", ".join(f"{share:.0f}" if share >= 1.0 else "< 1" for share in shares)
-
-
 _NOISY_ANGLES: Final = (
     _of("specimen", "plate"),
-    _of("source", "noise"),
-    _of("printed_text", "printed means of ten"),
-    _shown("inversions there", lambda row: f"{row['details']['found']:.0f} of 10", number=True),
+    _shown("noise", lambda row: row["source"].removesuffix(" disorder")),
     _shown("spread by ply, degrees", partial(_by_ply, "spread_", ".0f")),
-    _shown("of uniform angles", partial(_by_ply, "chance_spread_", ".0f")),
-    _shown("uniform ones as near, as close, %", _chances),
     _of("verdict_kind", "verdict"),
-    _shown("probability of the true layup", partial(_probability_of, "true"), number=True),
-    _shown("of the printed one", partial(_probability_of, "printed"), number=True),
-    _shown("bits by ply", partial(_by_ply, "bits_", ".2f")),
+    _shown("bits by ply", partial(_by_ply, "bits_", ".1f")),
 )
 _COMPUTED: Final = (
     _shown("what", lambda r: r[0]),
@@ -350,8 +345,10 @@ def _first_table(document: Record, tables: Rows, titles: Mapping[int, str]) -> A
     if len(titles) > 1:
         return tables.table("Printed values by verdict")
     ((number, title),) = titles.items()
-    rows = _rows_of(document, number, _BRIEF)
-    return (rows if rows.rows else Rows("rows", _BRIEF, tuple(document["rows"]))).table(title)
+    plates = {row["specimen"] for row in document["rows"]}
+    columns = tuple(c for c in _BRIEF if c.key != "specimen" or len(plates) > 1)
+    rows = _rows_of(document, number, columns)
+    return (rows if rows.rows else Rows("rows", columns, tuple(document["rows"]))).table(title)
 
 
 def _headline(document: Record) -> str:
@@ -387,18 +384,17 @@ def page(document: Record) -> str:
 
 def _lines(document: Record) -> Iterator[str]:
     audit = document["audit"]
+    inputs = sum(row["verdict_kind"] == INPUT for row in document["rows"])
     yield from (
         "# The paper's tables, reproduced and audited",
         "",
         "Written by `python studies/19_paper.py`. Tables are of Masoumi and Ghasemi Ghalebahman (2017). "
-        f"All {len(document['rows'])} printed values stand beside the computed ones in "
-        "[comparison.csv](comparison.csv); `cpam-bayes paper N` shows one table.",
+        f"Of {len(document['rows'])} printed values {inputs} are inputs and the others stand beside computed "
+        "ones in [comparison.csv](comparison.csv); `cpam-bayes paper N` shows one table. "
+        f"{_computed(document['computed'])}",
         "",
-        *_wrong_plates(document["simulation"]),
-        "## The most important disagreements",
-        "",
-        *(f"{i}. {text}" for i, text in enumerate(document["disagreements"], 1)),
-        "",
+        *wrong_plates(document),
+        *_disagreements(document["disagreements"]),
     )
     yield from (
         "## Verdicts",
@@ -406,15 +402,20 @@ def _lines(document: Record) -> Iterator[str]:
         "*Agrees*: a frequency to 0.5 % or half a unit of its last digit, an identified constant to 1 %, a "
         "mean of ten to two standard errors of the difference of two such means and to 5 %. *Cannot be told "
         "apart*: within the standard errors, but more than 5 % apart. *Within the posterior*: in the 95 % "
-        "interval, or the 95 % set of stacking sequences. Where half of the ten inversions or more sit on a "
-        "bound there is no standard error. *Not determined*: there is neither a standard error nor an "
-        "interval, or the angles found show no preference. Inputs and references are not counted.",
+        "interval up to half a unit of the last printed digit, or in the 95 % set of stacking sequences. "
+        "Where half of the ten inversions or more sit on a bound there is no standard error. *Not "
+        "determined*: there is neither a standard error nor an interval, or the angles found show no "
+        "preference. Inputs and references are not counted.",
         "",
     )
     counts = tuple(column for column in _TABLES if column.key != "title" and column.heading != INPUT)
     judged = (t for t in document["tables"] if sum(t["verdicts"].values()) > t["verdicts"].get(INPUT, 0))
     yield from _markdown(Rows("tables", counts, tuple(judged)))
+    yield from (_by_author(document["tables"]), "")
+    if audit["not_determined"]:
+        yield from (audit["not_determined"], "")
     yield from _noise_lines(document)
+    own = tuple(m for m in audit["misfits"] if m["source"] in OF_THE_PAPER)
     agreements = [p["agreement"] for p in audit["percentages"]]
     follows, before, never = (agreements.count(kind) for kind in AGREEMENTS)
     yield from (
@@ -430,54 +431,79 @@ def _lines(document: Record) -> Iterator[str]:
         "## Printed constants against their own frequencies",
         "",
         "F is eq. (7), in Hz², with the printed constants and layup; least F is the least that the swarms "
-        "found within the bounds of eq. (8).",
+        f"found, with E1 > E2 of eq. (9) and within the bounds of eq. (8){_other_bounds(own)}. "
+        f"{_of_one_swarm(own)}",
         "",
     )
-    own = tuple(m for m in audit["misfits"] if m["source"] in OF_THE_PAPER)
     yield from _markdown(Rows("misfits", _OWN_MISFITS, own))
     yield from _hadamard_lines(document["hadamard"])
+    yield from _diagnosed_lines(document["simulation"])
     yield from (f"- Warning: {text}" for text in document["warnings"])
 
 
-def _wrong_plates(simulation: Sequence[Record]) -> Iterator[str]:
-    """What is wrong with plates whose lists no constants within their bounds explain, in plain words."""
-    far = (e for e in simulation if e["plain_rms_percent"] > _UNEXPLAINED_PERCENT)
-    wrong = {e["specimen"]: e for e in sorted(far, key=itemgetter("specimen"))}
-    if not wrong:
+def _computed(computed: Mapping[str, Record]) -> str:
+    """By which versions, and when, the computations behind the rows were made."""
+    versions = sorted({str(record["version"]) for record in computed.values()})
+    days = sorted({str(record["date"]) for record in computed.values()})
+    if not days:
+        return ""
+    return f"Computed {' to '.join(dict.fromkeys((days[0], days[-1])))} by version {listed(versions, 'and')}."
+
+
+def _disagreements(texts: Sequence[str]) -> Iterator[str]:
+    if texts:
+        yield from ("## The most important disagreements", "")
+        yield from (f"{i}. {text}" for i, text in enumerate(texts, 1))
+        yield ""
+
+
+def _by_author(tables: Sequence[Record]) -> str:
+    """Values that are not reproducible, the paper's own and those of works that it cites."""
+    off, of_others = (
+        sum(t[key][NOT_REPRODUCIBLE] for t in tables) for key in ("verdicts", "verdicts_of_others")
+    )
+    if not off:
+        return ""
+    return (
+        f"Of {off} values that are not reproducible {off - of_others} are the paper's own and {of_others} of "
+        "works that it cites."
+    )
+
+
+def _other_bounds(misfits: Sequence[Record]) -> str:
+    """Bounds of the least F that are not those of eq. (8), with the plates."""
+    found: dict[tuple[str, float, float, str], list[str]] = {}
+    for misfit in misfits:
+        for name, (low, high) in misfit["beyond_eq_8"].items():
+            found.setdefault((name, low, high, misfit["case"]), []).append(misfit["specimen"])
+    return "".join(
+        f", but {name.partition('_')[0]} from {low:g} to {high:g} GPa for {listed(plates, 'and')}"
+        f"{'' if case == BUILT_IN else f' with {case}'}"
+        for (name, low, high, case), plates in found.items()
+    )
+
+
+def _of_one_swarm(misfits: Sequence[Record]) -> str:
+    """Plates whose least F was found by one swarm only, where several searched."""
+    alone = [m for m in misfits if m["swarms"] > 1 and m["swarms_found"] <= 1]
+    if not alone:
+        return ""
+    each = listed([f"{_case(m)} ({m['swarms_found']} of {m['swarms']})" for m in alone], "and")
+    return f"One swarm alone found it on {each}: there it may not be the least."
+
+
+def _diagnosed_lines(simulation: Sequence[Record]) -> Iterator[str]:
+    if not simulation:
         return
     yield from (
-        f"## What is wrong with {listed(tuple(wrong), 'and')}",
+        "## Diagnosis of every measured list",
         "",
-        f"The printed plate misses its measured frequencies by more than {_UNEXPLAINED_PERCENT:g} % (rms), "
-        "whatever the constants. By `cpam-bayes diagnose`, each size in the most probable set of causes:",
-        "",
-        *(f"- **{name}**: {_wrong(error)}" for name, error in wrong.items()),
+        "Left is the rms misfit with constants near the data sheet, and with the cause. The log Bayes factor "
+        "(nats) is of the cause against none; the log score (nats) its gain on frequencies left out "
+        "of the fit.",
         "",
     )
-
-
-# Claims whose causes have a size; the size of what is undecided or unknown says nothing.
-_SIZED: Final = ("named", "pair", "class")
-
-
-def _wrong(error: Record) -> str:
-    claim = error["claim"]
-    sizes = (" or " if claim == "class" else "; ").join(
-        f"{name.removesuffix('_deg').replace('_', ' ')} {signed(size['mean'], 1)} +- "
-        f"{significant(size['sd'], 2)} {size['unit']}".rstrip()
-        for name, size in error["sizes"].items()
-        if claim in _SIZED
-    )
-    plain, extended = error["plain_rms_percent"], error["extended_rms_percent"]
-    misfit = f"The best constants leave {significant(plain, 2)} %"
-    left = f"{misfit}; nothing is claimed that would leave less."
-    if extended is not None:
-        left = f"{misfit}; with this {significant(extended, 2)} % are left, log Bayes factor "
-        left += f"{error['log_bayes_factor']:.0f}"
-        if error["held_out"] is not None:
-            left += f", {signed(error['held_out'], 0)} +- {error['held_out_se']:.0f} on frequencies left out"
-        left += "."
-    return f"{error['sentence']} {f'Size: {sizes}. ' if sizes else ''}{left}"
+    yield from _markdown(diagnosed(simulation))
 
 
 def _noise_lines(document: Record) -> Iterator[str]:
@@ -495,12 +521,16 @@ def _noise_lines(document: Record) -> Iterator[str]:
 def _hadamard_lines(conditions: Sequence[Record]) -> Iterator[str]:
     if not conditions:
         return
+    roundings = [c["rounding_percent"] for c in conditions]
+    least, most = min(roundings), max(roundings)
     exist, unique = ([c for c in conditions if c[key]] for key in ("exists", "unique"))
     yield from (
         "## Hadamard's conditions",
         "",
         "*Existence*: the root of the residual sum of squares over the degrees of freedom is at most "
-        f"{conditions[0]['repeatability_percent']:.2g} %, which 97.5 % of tap tests repeat within. "
+        f"{conditions[0]['repeatability_percent']:.2g} %, the 97.5 % point of this package's prior of "
+        "repeatability (the paper states none), and the rounding of the list, "
+        f"{least:.1g} to {most:.1g} % (rms), added in squares. "
         "*Uniqueness*: the sensitivities d ln f / d ln x have full rank, and no other optimum or stacking "
         "sequence (95 % set) fits within the noise. "
         f"A solution exists for {len(exist)} of {len(conditions)} choices of plate and unknowns"

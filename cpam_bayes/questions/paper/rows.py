@@ -6,8 +6,9 @@ Verdicts: a frequency agrees up to 0.5 % or half a unit of its last digit, an id
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal, get_args
 
 from cpam_bayes.formatting import listed, significant
@@ -20,6 +21,8 @@ from cpam_bayes.printed.tables import (
     printed_table,
 )
 
+CONSTRAINT: Final = "E1 = E2"
+"""In place of the bound that a constant sits on: the constraint E1 > E2 of eq. (9)."""
 BUILT_IN, TWO, FOUR = "as built in", "two constants", "four constants"
 """Choices of unknowns: those of the built-in specimen, or two or four constants of an aluminium plate."""
 Verdict = Literal[
@@ -51,6 +54,8 @@ _CONSTANT_PERCENT: Final = 1.0
 MISPRINTED: Final = 50.0
 # Misfit of printed constants that is worth a name, %; ends of an interval this factor apart are far apart.
 _FAR, _WIDE = 5.0, 1.5
+# An interval over this share of the bounds says nothing: the prior, uniform between them, has 95 %.
+_UNDETERMINED: Final = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,11 +159,10 @@ def identified_row(
 def _of_constant(cell: PrintedValue, ours: Mapping[str, Any], why: str) -> Judged:
     printed = float(cell.text)
     apart = _apart_from_interval(ours)
-    if abs(printed - ours["value"]) <= max(
-        0.01 * _CONSTANT_PERCENT * abs(ours["value"]), last_digit(cell.text) / 2
-    ):
+    half = last_digit(cell.text) / 2
+    if abs(printed - ours["value"]) <= max(0.01 * _CONSTANT_PERCENT * abs(ours["value"]), half):
         return AGREES, apart
-    if ours["q025"] <= printed <= ours["q975"]:
+    if ours["q025"] - half <= printed <= ours["q975"] + half:
         return WITHIN, apart
     return NOT_REPRODUCIBLE, "; ".join(filter(None, (f"outside the 95 % interval; {why}", apart)))
 
@@ -167,6 +171,10 @@ def _apart_from_interval(ours: Mapping[str, Any]) -> str:
     """Why a best fit lies outside the interval of the same constant; "" where it does not."""
     if ours["q025"] <= ours["value"] <= ours["q975"]:
         return ""
+    if ours["bound"] == CONSTRAINT:
+        return (
+            "ours sits on the constraint E1 > E2 of eq. (9), beyond the central 95 % of a posterior within it"
+        )
     if ours["bound"] is not None:
         return "ours sits on a bound, beyond the central 95 % of a posterior within the bounds"
     return (
@@ -273,13 +281,16 @@ def _frequencies_off(rows: Sequence[Row]) -> str:
     furthest, differences = zip(*off[name], strict=True)
     measured = printed_table(4).row(name, "modal test").values
     beside = [100.0 * (float(r.printed) / float(measured[r.quantity].text) - 1.0) for r in furthest]
+    unread = [r.quantity.partition("_")[0] for r in rows if r.table == 5 and r.specimen == name]
+    unread = [q for q in unread if q not in {r.quantity.partition("_")[0] for r in furthest}]
+    but = f" (without the misprinted {listed(unread, 'and')})" if unread else ""
     solvers = [[v for v in row.details.values() if v is not None] for row in furthest]
     apart = max(100.0 * (max(v) / min(v) - 1.0) for v in solvers)
     return (
         f"Table 5, {name}: the ABAQUS frequencies are {min(differences):+.1f} to {max(differences):+.1f} % "
         f"off those of {len(solvers[0])} converged solvers ({apart:.2g} % apart at most) for the printed "
-        f"plate. They are within {max(abs(b) for b in beside):.1f} % of the measured list of Table 4, which "
-        "the printed plate does not give."
+        f"plate. They are within {max(abs(b) for b in beside):.1f} % of the measured list of Table 4{but}, "
+        "which the printed plate does not give."
     )
 
 
@@ -298,6 +309,35 @@ def _own_misfit(misfits: Sequence[Record]) -> str:
         f"{worst['our_rms_percent']:.3g} %. Their F, eq. (7), is more than ten times the least one for "
         f"{ten} of {len(identified)} plates."
     )
+
+
+def share_of_bounds(row: Row, bounds: Mapping[str, tuple[float, float]]) -> Row:
+    """A row with an interval, whose details say what share of the bounds it spans."""
+    assert row.q025 is not None
+    assert row.q975 is not None
+    low, high = bounds[row.quantity]
+    return replace(row, details={**row.details, "share_of_bounds": (row.q975 - row.q025) / (high - low)})
+
+
+def not_determined(rows: Sequence[Row]) -> str:
+    """How many constants within the posterior could not have lain outside it, in words; "" for none."""
+    within = [r for r in rows if r.verdict == WITHIN and r.details.get("share_of_bounds") is not None]
+    wide = [r for r in within if (r.details["share_of_bounds"] or 0.0) > _UNDETERMINED]
+    if not wide:
+        return ""
+    each = Counter(r.quantity for r in wide)
+    of = Counter(r.quantity for r in within)
+    counts = ", ".join(f"{name.partition('_')[0]} {n} of {of[name]}" for name, n in each.most_common())
+    return (
+        f"Of {len(within)} constants within the posterior {len(wide)} are not determined: their 95 % "
+        f"interval spans more than {100.0 * _UNDETERMINED:.0f} % of the bounds ({counts}), so that hardly a "
+        "printed value could lie outside."
+    )
+
+
+def by_others(source: str) -> bool:
+    """Whether a printed value is of another work, whose number the paper gives."""
+    return "[" in source
 
 
 def _undetermined(rows: Sequence[Row]) -> str:

@@ -42,7 +42,7 @@ from cpam_bayes.questions.paper.layups import (
     searched_without_noise,
     weighed,
 )
-from cpam_bayes.questions.paper.rows import FOUR, TWO, Record, Results
+from cpam_bayes.questions.paper.rows import BUILT_IN, CONSTRAINT, FOUR, TWO, Record, Results
 from cpam_bayes.questions.sensitivity import sensitivity
 from cpam_bayes.questions.sequence import sequence
 from cpam_bayes.running import Watch
@@ -99,6 +99,52 @@ def case_specimen(name: str, case: str) -> Specimen:
     ).with_exact_sizes()
 
 
+# E1 and E2 this close, as a fraction, lie on the constraint E1 > E2 of eq. (9).
+_EQUAL: Final = 1e-3
+
+
+def with_ends(task: Task, results: Results) -> Results:
+    """Results whose constants know the constraint E1 > E2 where they sit on it."""
+    if task.kind != "constants":
+        return results
+    constants = results["constants"]
+    e1, e2 = (constants.get(name, {}).get("value", math.nan) for name in ("E1_GPa", "E2_GPa"))
+    equal = ("E1_GPa", "E2_GPa") if abs(e1 - e2) <= _EQUAL * e1 else ()
+    return {
+        **results,
+        "constants": {
+            name: {**of, "bound": of["bound"] or (CONSTRAINT if name in equal else None)}
+            for name, of in constants.items()
+        },
+    }
+
+
+@cache
+def bounds_of(name: str, case: str) -> Mapping[str, tuple[float, float]]:
+    """The bounds of the unknown constants of a case, by name with unit."""
+    unknowns = case_specimen(name, case).unknowns
+    ends = zip(unknowns.names, unknowns.lower, unknowns.upper, strict=True)
+    return {user_name(n): (to_user(n, float(low)), to_user(n, float(high))) for n, low, high in ends}
+
+
+# A plate that was sought within the bounds of eq. (8) as they are printed.
+_AS_PRINTED: Final = "D1"
+
+
+def beyond_eq_8(name: str, case: str) -> dict[str, tuple[float, float]]:
+    """The bounds of a case that are not those of eq. (8)."""
+    printed = bounds_of(_AS_PRINTED, BUILT_IN)
+    return {key: ends for key, ends in bounds_of(name, case).items() if ends != printed[key]}
+
+
+def rounding_percent(name: str) -> float:
+    """Rms relative error, %, of a measured list from its rounding to the last printed digit."""
+    measurement = builtin(name).measurement
+    assert measurement is not None
+    error = measurement.resolution / math.sqrt(12.0) / measurement.frequencies
+    return 100.0 * float(np.sqrt(np.mean(np.square(error))))
+
+
 def with_constants(specimen: Specimen, row: PrintedRow) -> Specimen:
     """A specimen with the printed constants of a row in place of its reference."""
     printed: Mapping[str, float] = {
@@ -153,7 +199,7 @@ def simulation_errors(number: int, diagnosed: Mapping[str, Any]) -> Iterator[Rec
 
     A misprinted frequency is left out of the rms.
 
-    diagnosed : {"plates": name -> what ``diagnosis_row`` keeps}
+    diagnosed : {"plates": name -> what ``diagnosis_row`` keeps, and ``frequency_scale``}
     """
     if number not in (1, 5):
         return
@@ -163,7 +209,45 @@ def simulation_errors(number: int, diagnosed: Mapping[str, Any]) -> Iterator[Rec
         stored = diagnosed["plates"].get(name)
         if stored is not None:
             rms = _rms_percent(printed[name]) if name in printed else None
-            yield {"table": number, "specimen": name, "printed_rms_percent": rms, **stored}
+            yield {
+                "table": number,
+                "specimen": name,
+                "printed_rms_percent": rms,
+                "thickness_mm": _thickness_mm(name),
+                "of_one_material_mm": _of_one_material(name),
+                **stored,
+            }
+
+
+def frequency_scale(name: str) -> dict[str, float]:
+    """How many times the printed plate's the measured frequencies are, and the rms that this leaves, %.
+
+    The factor is the geometric mean of measured over computed frequencies, from the reference constants.
+    """
+    measurement = builtin(name).measurement
+    assert measurement is not None
+    times = measurement.frequencies / forward(name, measurement.size).frequencies
+    ratio = math.exp(float(np.mean(np.log(times))))
+    return {
+        "frequency_ratio": ratio,
+        "scaled_rms_percent": 100.0 * float(np.sqrt(np.mean(np.square(times / ratio - 1.0)))),
+    }
+
+
+def _thickness_mm(name: str) -> float:
+    """Of Table 2, or of Table 1's plate."""
+    return to_user("thickness", builtin(name).plate.thickness)
+
+
+def _of_one_material(name: str) -> dict[str, float]:
+    """Thicknesses of the other plates of the material, mm."""
+    names = [row.specimen for row in printed_table(2).rows]
+    alike = (other for other in names if other != name and _material(other) == _material(name))
+    return {other: _thickness_mm(other) for other in alike}
+
+
+def _material(name: str) -> str | None:
+    return builtin(name).material.parts[""].name
 
 
 def _rms_percent(row: PrintedRow) -> float:
@@ -407,11 +491,14 @@ _DONE_BY: Final[Mapping[Kind, Callable[[Effort, Task], Results]]] = {
 }
 
 
-def hadamard(task: Task, found: Results, layups: int | None, repeatability_percent: float) -> Record:
+def hadamard(
+    task: Task, found: Results, layups: int | None, repeatability_percent: float, rounding: float
+) -> Record:
     """Existence and uniqueness by what `well_posed` found.
 
     layups : stacking sequences in the 95 % set where angles are unknown too, None where not computed
-    repeatability_percent : 97.5 % quantile of what a tap test repeats within
+    repeatability_percent : 97.5 % quantile of this package's prior of what a tap test repeats within
+    rounding : rms relative error of the list, %, from its last printed digit
     """
     left = found["left_percent"]
     return {
@@ -422,12 +509,13 @@ def hadamard(task: Task, found: Results, layups: int | None, repeatability_perce
         "unknowns": found["unknowns"],
         "left_percent": left,
         "repeatability_percent": repeatability_percent,
+        "rounding_percent": rounding,
         "rank": found["rank"],
         "condition": found["condition"],
         "optima": found["optima"],
         "layups": layups,
         "percent_per_percent": found["percent_per_percent"],
-        "exists": None if left is None else left <= repeatability_percent,
+        "exists": None if left is None else left <= math.hypot(repeatability_percent, rounding),
         "unique": found["rank"] == found["unknowns"] and found["optima"] == 1 and layups in (None, 1),
     }
 
@@ -516,7 +604,9 @@ def diagnoses(seed: int, watch: Watch) -> dict[str, Any]:
     start = time.perf_counter()
     names = dict.fromkeys(row.specimen for number in (1, 4) for row in printed_table(number).rows)
     answers = {name: diagnose(name, seed=seed, next_test="never", watch=watch) for name in names}
-    plates = {name: diagnosis_row(answer.to_dict()) for name, answer in answers.items()}
+    plates = {
+        name: {**diagnosis_row(answer.to_dict()), **frequency_scale(name)} for name, answer in answers.items()
+    }
     return stamp({"seconds": time.perf_counter() - start, "plates": plates})
 
 

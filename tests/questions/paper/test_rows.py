@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from cpam_bayes.printed.tables import identified_layups, printed_table
+from cpam_bayes.printed.tables import PrintedValue, identified_layups, printed_table
 from cpam_bayes.questions.paper.rows import (
     AGREES,
     BUILT_IN,
@@ -14,7 +14,9 @@ from cpam_bayes.questions.paper.rows import (
     TWO,
     WITHIN,
     Row,
+    _of_constant,
     constant_rows,
+    disagreements,
     frequency_rows,
     in_credible_set,
     input_rows,
@@ -77,6 +79,24 @@ def test_a_constant_agrees_is_in_the_interval_or_is_not_reproducible_with_the_mi
     assert "rms misfit is 2.5 %, with ours 1 %" in of(rows, "nu12").reason
     assert of(rows, "E2_GPa").q975 == 15.0
     assert len(rows) == 8
+
+
+@pytest.mark.parametrize(("end", "verdict"), [(0.3149, NOT_REPRODUCIBLE), (0.3151, WITHIN)])
+def test_half_a_unit_of_the_last_printed_digit_belongs_to_the_print(end: float, verdict: str) -> None:
+    # 0.315 to 0.325 is printed as 0.32
+    assert _of_constant(PrintedValue("0.32"), marginal(0.30, 0.29, end), "")[0] == verdict
+    assert _of_constant(PrintedValue("0.320"), marginal(0.30, 0.29, end), "")[0] == NOT_REPRODUCIBLE
+
+
+def test_the_misprinted_frequency_that_is_left_out_is_named() -> None:
+    table = printed_table(5)
+    ours = [float(v.text) * 1.1 for v in table.row("D1", "ABAQUS").values.values()]
+    ours[8] = 10500.0
+    results = {"ritz_hz": ours, "fem_hz": None}
+    rows = list(frequency_rows(table, {("forward", "D1", BUILT_IN): results}, NO_BRICKS))
+    (said,) = disagreements(rows, ())
+    assert "(without the misprinted f9)" in said
+    assert "misprinted" not in disagreements(rows[:8], ())[0]
 
 
 def test_rows_of_table_8_are_compared_with_as_many_unknown_constants() -> None:

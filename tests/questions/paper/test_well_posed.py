@@ -8,7 +8,13 @@ import pytest
 
 import cpam_bayes as cb
 from cpam_bayes.printed.tables import printed_table
-from cpam_bayes.questions.paper.work import Task, hadamard, simulation_errors, well_posed
+from cpam_bayes.questions.paper.work import (
+    Task,
+    hadamard,
+    rounding_percent,
+    simulation_errors,
+    well_posed,
+)
 from tests.plate_file import described
 
 REFERENCE_GPA = 70.0
@@ -48,15 +54,25 @@ def test_two_constants_that_all_frequencies_see_alike_are_ill_conditioned(freque
 def test_existence_needs_a_misfit_within_the_repeatability_and_uniqueness_one_optimum() -> None:
     posed = {"frequencies": 6, "unknowns": 4, "left_percent": 0.5, "rank": 4, "condition": 10.0, "optima": 1}
 
-    def found(layups: int | None = None, **change: Any) -> Any:
+    def found(layups: int | None = None, rounding: float = 0.0, **change: Any) -> Any:
         known = {**posed, "percent_per_percent": {}, **change}
-        return hadamard(Task("constants", "C1", "as built in", 9, 0), known, layups, 0.9)
+        return hadamard(Task("constants", "C1", "as built in", 9, 0), known, layups, 0.9, rounding)
 
     assert found()["exists"]
     assert found()["unique"]
     assert not found(left_percent=1.0)["exists"]
+    # sqrt(0.9^2 + 0.5^2) = 1.03
+    assert found(left_percent=1.0, rounding=0.5)["exists"]
+    assert not found(left_percent=1.1, rounding=0.5)["exists"]
     assert found(left_percent=None)["exists"] is None
     assert not any(one["unique"] for one in (found(rank=3), found(optima=2), found(layups=3130)))
+
+
+def test_the_rounding_of_a_list_is_that_of_uniform_errors_of_its_last_digit() -> None:
+    measured = cb.read_plate("A2").measurement
+    assert measured.resolution == 1.0
+    errors = np.random.default_rng(1).uniform(-0.5, 0.5, (20000, measured.size)) / measured.frequencies
+    assert rounding_percent("A2") == pytest.approx(100.0 * np.sqrt(np.mean(errors**2)), rel=0.01)
 
 
 def test_the_printed_simulation_is_held_against_the_measured_list() -> None:
@@ -71,6 +87,8 @@ def test_the_printed_simulation_is_held_against_the_measured_list() -> None:
         "log_bayes_factor": 8.0,
         "held_out": 5.0,
         "held_out_se": 1.0,
+        "frequency_ratio": 1.0,
+        "scaled_rms_percent": 1.0,
     }
     (error,) = simulation_errors(5, {"plates": {"A1": answer}})
     printed = np.array([float(v.text) for v in printed_table(5).row("A1", "ABAQUS").values.values()])

@@ -1,0 +1,150 @@
+"""What is wrong with the paper's plates, from the JSON document: in plain words, and a table of all."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from operator import itemgetter
+from typing import Any, Final
+
+from cpam_bayes.effects import CATALOGUE
+from cpam_bayes.formatting import listed, signed, significant
+from cpam_bayes.questions.paper.drawings import OF_THE_PAPER
+from cpam_bayes.questions.paper.rows import BUILT_IN, Record
+from cpam_bayes.render.report import Column, Rows
+
+# Misfit with constants near the data sheet, %, from which on a plate's list is not that of the printed plate.
+_UNEXPLAINED_PERCENT: Final = 5.0
+# One factor explains a list if it leaves less than this share of itself.
+_ONE_FACTOR: Final = 1.0 / 3.0
+# Thicknesses of two plates this close, as a fraction, are alike.
+_ALIKE: Final = 0.1
+# Claims whose causes have a size; the size of what is undecided or unknown says nothing.
+_SIZED: Final = ("named", "pair", "class")
+_TWO_DIGITS: Final = partial(significant, digits=2)
+
+
+def wrong_plates(document: Record) -> Iterator[str]:
+    """What is wrong with plates whose lists no constants near the data sheet explain, in plain words."""
+    far = filter(_is_unexplained, document["simulation"])
+    wrong = {e["specimen"]: e for e in sorted(far, key=itemgetter("specimen"))}
+    if not wrong:
+        return
+    yield from (
+        f"## What is wrong with {listed(tuple(wrong), 'and')}",
+        "",
+        "With constants near the data sheet the printed plate misses these measured frequencies by more "
+        f"than {_UNEXPLAINED_PERCENT:g} % (rms). Left is the misfit of such constants, of those of the "
+        "least F, eq. (7), within wide bounds (high modes weigh most), and with the cause that `cpam-bayes "
+        "diagnose` finds.",
+        "",
+        *(f"- **{name}**: {_in_words(error, _least(document, name))}" for name, error in wrong.items()),
+        "",
+    )
+
+
+def _is_unexplained(error: Record) -> bool:
+    return bool(error["plain_rms_percent"] > _UNEXPLAINED_PERCENT)
+
+
+def _least(document: Record, name: str) -> str:
+    """Misfit and E1 of the least F for the printed plate; "" where Table 9 was not computed."""
+    rms = [
+        m["our_rms_percent"]
+        for m in document["audit"]["misfits"]
+        if (m["specimen"], m["case"]) == (name, BUILT_IN) and m["source"] in OF_THE_PAPER
+    ]
+    e1 = [
+        row["ours"]
+        for row in document["rows"]
+        if (row["table"], row["specimen"], row["quantity"]) == (9, name, "E1_GPa") and row["ours"] is not None
+    ]
+    if not rms or not e1:
+        return ""
+    return f"{_TWO_DIGITS(rms[0])} % at the least F (E1 {significant(e1[0], 3)} GPa)"
+
+
+def _in_words(error: Record, least: str) -> str:
+    return " ".join(filter(None, (_factor(error), error["sentence"], _sizes(error), _left(error, least))))
+
+
+def _factor(error: Record) -> str:
+    """The factor on all frequencies; a thickness that gives it, where nearly nothing else is left."""
+    ratio, left = error["frequency_ratio"], error["scaled_rms_percent"]
+    times = significant(ratio, 3)
+    said = f"Its frequencies are {times} times those of the printed plate, to {_TWO_DIGITS(left)} %"
+    if left > _ONE_FACTOR * 100.0 * abs(math.log(ratio)):
+        return f"{said}: no one factor explains them."
+    thickness = ratio * error["thickness_mm"]
+    others = {
+        name: mm for name, mm in error["of_one_material_mm"].items() if abs(mm / thickness - 1.0) < _ALIKE
+    }
+    of_others = "; ".join(
+        f"Table 2 gives {mm:g} mm to {listed([n for n, its in others.items() if its == mm], 'and')}, of "
+        "the same material"
+        for mm in dict.fromkeys(others.values())
+    )
+    return (
+        f"{said}; a plate {times} times as thick would have them (about {thickness:.1f} mm and not "
+        f"{error['thickness_mm']:g} mm{f'; {of_others}' if of_others else ''})."
+    )
+
+
+def _sizes(error: Record) -> str:
+    """Sizes of what is claimed, and of what stands beside it in the most probable set of causes."""
+    if error["claim"] not in _SIZED or not error["sizes"]:
+        return ""
+    own = {p.name for effect in CATALOGUE if effect.name in error["causes"] for p in effect.parameters}
+    of = {name: _size(name, size) for name, size in error["sizes"].items()}
+    between = " or " if error["claim"] == "class" else "; "
+    claimed = between.join(text for name, text in of.items() if name in own)
+    beside = "; ".join(text for name, text in of.items() if name not in own)
+    return f"Size: {claimed}{f', together with {beside}' if beside else ''}."
+
+
+def _size(name: str, size: Mapping[str, Any]) -> str:
+    title = name.removesuffix("_deg").replace("_", " ")
+    return f"{title} {signed(size['mean'], 1)} +- {_TWO_DIGITS(size['sd'])} {size['unit']}".rstrip()
+
+
+def _left(error: Record, least: str) -> str:
+    """Misfits side by side: of the printed plate, and with what is claimed."""
+    parts = [f"Left: {_TWO_DIGITS(error['plain_rms_percent'])} %"]
+    if least:
+        parts.append(least)
+    extended = error["extended_rms_percent"]
+    if extended is not None:
+        by = "an error of unknown form" if error["claim"] == "other" else "this"
+        parts.append(f"{_TWO_DIGITS(extended)} % with {by}")
+    return f"{', '.join(parts)}."
+
+
+def _left_out(error: Record) -> str | None:
+    if error["held_out"] is None:
+        return None
+    return f"{signed(error['held_out'], 0)} +- {error['held_out_se']:.0f}"
+
+
+def _answer(error: Record) -> str:
+    """The claim in words where it is not told above, in few where nothing is."""
+    if _is_unexplained(error):
+        return "as above"
+    said: str = error["sentence"]
+    return "no evidence of an error" if error["claim"] == "none" else said
+
+
+_DIAGNOSED: Final = (
+    Column("plate", "specimen", itemgetter("specimen")),
+    Column("answer", None, _answer),
+    Column("left %", "plain_rms_percent", itemgetter("plain_rms_percent"), _TWO_DIGITS, True),
+    Column("left % with it", "extended_rms_percent", itemgetter("extended_rms_percent"), _TWO_DIGITS, True),
+    Column("log Bayes factor", "log_bayes_factor", itemgetter("log_bayes_factor"), "{:.0f}".format, True),
+    Column("log score of frequencies left out", None, _left_out, number=True),
+)
+
+
+def diagnosed(simulation: Sequence[Record]) -> Rows:
+    """The diagnosis of each plate, once."""
+    each = {error["specimen"]: error for error in simulation}
+    return Rows("diagnosed", _DIAGNOSED, tuple(each.values()))
