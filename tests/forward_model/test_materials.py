@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 import cpam_bayes as cb
 from cpam_bayes.forward_model.build import model_key
-from cpam_bayes.forward_model.calculix import solve_modes
+from cpam_bayes.forward_model.calculix.run import solve_modes
 from cpam_bayes.forward_model.model import NO_PARAMETERS, plate_problem, reference_constants
 from cpam_bayes.forward_model.preconditions import exchange_notices
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 import cpam_bayes as cb
 from cpam_bayes.forward_model.build import reduced_model
-from cpam_bayes.forward_model.calculix import solve_modes
+from cpam_bayes.forward_model.calculix.run import solve_modes
 from cpam_bayes.forward_model.known_errors import common_sd
 from cpam_bayes.forward_model.model import (
     NO_PARAMETERS,
