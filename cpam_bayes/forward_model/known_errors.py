@@ -276,7 +276,7 @@ class TolerantModel:
 
 
 def tolerant(
-    specimen: Specimen, model: ReducedModel | LabelledModel, constants: Mapping[str, float], order: Array
+    specimen: Specimen, model: ReducedModel, constants: Mapping[str, float], order: Array
 ) -> ForwardModel:
     """A model with the usual tolerances of what the file leaves open.
 

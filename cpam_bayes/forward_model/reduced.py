@@ -161,8 +161,10 @@ def focused(model: ReducedModel, x: Array, tolerance: float, fraction: float = 1
     """A reduced model projected once more, on the principal directions of its modes at points x (m, n).
 
     Each block keeps the fewest directions with which this ``fraction`` of its frequencies at x is within
-    ``tolerance``, relative, of that of ``model``.
+    ``tolerance``, relative, of that of ``model``. One whose modes were labelled stays as it is.
     """
+    if type(model) is not ReducedModel:  # the labelled shapes are those of its basis
+        return model
     known = _solved(model.fast, x, 0)
     directions = _directions(model.fast.operator, known)
     sizes = _sizes(directions, known, tolerance, fraction)
@@ -172,13 +174,14 @@ def focused(model: ReducedModel, x: Array, tolerance: float, fraction: float = 1
 def basis_error(model: ReducedModel, x: Array) -> Array:
     """Relative errors of the basis at parameter vectors (m, n), by as many full solves, (m, n_modes).
 
+    Of modes in ascending order.
     Matrices of the full space that a model was sent or kept without are made anew.
     """
     x, full = np.atleast_2d(x), model.full
     if not full.operator.blocks:
         assert full.basis is not None
         full = model_on_basis(full.operator.problem, x, full.n_modes, full.error, full.basis)
-    return np.asarray(np.abs(model.predict(x).frequencies / full.predict(x).frequencies - 1.0))
+    return np.asarray(np.abs(model.fast.predict(x).frequencies / full.predict(x).frequencies - 1.0))
 
 
 def compressed(operator: DenseOperator, stiffness: Array, mass: Array) -> DenseOperator:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cpam_bayes.forward_model.labels import LabelledModel, list_order
+from cpam_bayes.forward_model.labels import list_order
 from cpam_bayes.forward_model.model import ForwardModel, Prediction, reference_vector
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.inference.derivatives import Coordinates, Expansion, coordinates, expand_u
@@ -61,7 +61,7 @@ class TranscriptionError:
 
 
 def transcription_error(
-    specimen: Specimen, posterior: Posterior, model: ReducedModel | LabelledModel, best: Array
+    specimen: Specimen, posterior: Posterior, model: ReducedModel, best: Array
 ) -> TranscriptionError | None:
     """The transcription error that a specimen's list seems to have, ``None`` where it seems to have none.
 
