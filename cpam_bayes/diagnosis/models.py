@@ -38,7 +38,6 @@ from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet, Uniform
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.edges import Field
-from cpam_bayes.plate.laminate import ENERGY_CONSISTENT
 from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
@@ -142,7 +141,7 @@ def plate_models(
         reduced = _reduced(full, settings.tolerance)
         return without_matrices(reduced) if other_material else reduced
 
-    key = model_key(specimen, parameters, n_modes, ENERGY_CONSISTENT, settings, None)
+    key = model_key(specimen, parameters, n_modes, settings, None)
     bare = remembered(json.dumps([key, "bare", other_material, is_rough]), make)
     assert bare.full.basis is not None
     return PlateModels(

@@ -52,8 +52,9 @@ _SIZE_RANGE, _SIZE_FACTOR = 5.0, 4.0
 _SHAPE_POINTS = 31
 # Step of the complex-step derivative, relative to a parameter: any small number does, no digits go.
 _STEP = 1e-25
-# A space is converged at constants this far from the centre, as a fraction.
-_NEIGHBOURHOOD = 0.3
+# A space is converged at so many sets of constants this far from the centre, as a fraction, and at so many
+# all over the prior box.
+_NEAR_SETS, _NEIGHBOURHOOD, _FAR_SETS = 2, 0.3, 3
 # Angles that unknown plies take in turn, beside those drawn from the prior.
 _SPECIAL_DEG = ((0.0,), (90.0,), (0.0, 90.0), (45.0, -45.0))
 # Elsewhere in the prior box its error may be this many times larger.
@@ -408,9 +409,7 @@ class Samples:
     allowance: Array
 
 
-def convergence_samples(
-    specimen: Specimen, problem: Problem, centre: Array | None = None, near: int = 2, far: int = 3
-) -> Samples:
+def convergence_samples(specimen: Specimen, problem: Problem, centre: Array | None = None) -> Samples:
     """A centre, neighbours within 30 % of its constants, and sets all over the prior box.
 
     centre : (n_parameters,), by default the reference constants. Far from it the space need only be
@@ -426,7 +425,7 @@ def convergence_samples(
     middle = reference_vector(specimen, parameters) if centre is None else centre
     constants = reference_constants(specimen)
     samples: list[Array] = []
-    while len(samples) <= near:
+    while len(samples) <= _NEAR_SETS:
         x = parameters.sample(rng, 1)[0]
         for i, name in enumerate(parameters.names):
             if name in constants:
@@ -438,8 +437,8 @@ def convergence_samples(
         if problem.admissible(parameters.mapping(x)):
             samples.append(x)
     samples += _special_layups(specimen, parameters, samples[0])
-    everywhere = training_sets(problem, far, rng)
-    allowance = np.concatenate((np.ones(len(samples)), np.full(far, _FAR_ALLOWANCE)))
+    everywhere = training_sets(problem, _FAR_SETS, rng)
+    allowance = np.concatenate((np.ones(len(samples)), np.full(_FAR_SETS, _FAR_ALLOWANCE)))
     return Samples(np.concatenate((samples, everywhere)), allowance)
 
 
@@ -463,20 +462,18 @@ def converged_model(
     shear: ShearModel = ENERGY_CONSISTENT,
     tolerance: Tolerance | None = None,
     centre: Array | None = None,
-    near: int = 2,
-    far: int = 3,
 ) -> PlateModel:
     """The plate of a specimen on a Ritz space that is converged about given constants.
 
     parameters : what varies (``NO_PARAMETERS`` for the reference constants alone).
-    centre, near, far : as in ``convergence_samples``.
+    centre : as in ``convergence_samples``.
 
     Raises ``ValueError`` for a plate with a mesh.
     """
     if specimen.plate.mesh is not None:
         raise ValueError(f"{specimen.source}: the Ritz space is of a rectangle, not of {specimen.plate.mesh}")
     problem = plate_problem(specimen, parameters, shear)
-    samples = convergence_samples(specimen, problem, centre, near, far)
+    samples = convergence_samples(specimen, problem, centre)
     converged = converge(problem, parameters.mapping(samples.x), n_modes, tolerance, samples.allowance)
     basis = (converged.settings, converged.keep)
     return PlateModel(converged.operator, n_modes, converged.error, basis)
@@ -518,17 +515,16 @@ _MODES = 6
 
 
 @single_blas_thread
-def air_shifts(specimen: Specimen, n_modes: int | None = None) -> NDArray[np.float64] | None:
+def air_shifts(specimen: Specimen) -> NDArray[np.float64] | None:
     """Relative changes of the lowest frequencies, f_air / f_vacuum - 1, (n_modes,).
 
-    At the reference constants, in air of 1.2 kg/m3, by default for as many modes as were measured. None
+    At the reference constants, in air of 1.2 kg/m3, for as many modes as were measured. None
     where air is in the model already, for a mesh from a file, for unknown angles, and where bending cannot
     be distinguished from rounding.
     """
     if specimen.air_density or specimen.plate.mesh is not None or specimen.plate.layup.n_unknown:
         return None
-    if n_modes is None:
-        n_modes = _MODES if specimen.measurement is None else specimen.measurement.size
+    n_modes = _MODES if specimen.measurement is None else specimen.measurement.size
     bare = plate_problem(replace(specimen, air_density=None), NO_PARAMETERS)
     mass_terms = len(bare.forms("mass"))
     problem = add_air(bare, ROOM_AIR)

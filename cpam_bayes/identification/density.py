@@ -36,7 +36,6 @@ from cpam_bayes.inference.proposal import (
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
 from cpam_bayes.plate import Measurement, Specimen
 
-
 # Noise that residuals are weighed by where none is stated, relative.
 _USUAL_NOISE = 0.002
 # Optima that are sampled about at most.

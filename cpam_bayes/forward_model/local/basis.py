@@ -61,7 +61,7 @@ class BarePlate:
     error: Array
 
 
-DEFAULT_SETTINGS = LocalSettings()
+POINT_SETTINGS = LocalSettings()
 PATCH_SETTINGS = LocalSettings(further=8, modes=6, constants=10, places=24, leading=3e-4, rest=1e-3)
 # Shift of the energy over the lowest eigenvalue: it makes a free plate stiff.
 _SHIFT = 0.3
@@ -86,13 +86,12 @@ def local_space(problem: Problem, settings: RitzSettings) -> RitzSpace:
 
 
 @single_blas_thread
-def point_mass_model(
-    plate: BarePlate, added: ParameterSet, how: LocalSettings = DEFAULT_SETTINGS
-) -> LocalModel:
+def point_mass_model(plate: BarePlate, added: ParameterSet) -> LocalModel:
     """A plate with a point mass anywhere.
 
     added : the mass, kg, its place, and its radius of gyration, m
     """
+    how = POINT_SETTINGS
     trained, rng = _training(plate, how)
     space, parts = trained.plain.operator.space, trained.block.parts
     rows = rows_at(space, parts, _training_places(rng, how.places))
@@ -114,14 +113,12 @@ def point_mass_model(
 
 
 @single_blas_thread
-def patch_model(
-    plate: BarePlate, added: ParameterSet, form: PatchForm, how: LocalSettings = PATCH_SETTINGS
-) -> LocalModel:
+def patch_model(plate: BarePlate, added: ParameterSet, form: PatchForm) -> LocalModel:
     """A plate with a softer patch anywhere.
 
     added : the fraction of stiffness lost, the place, and the extent over the shorter side
     """
-    patch = patch_of(form, plate.problem)
+    patch, how = patch_of(form, plate.problem), PATCH_SETTINGS
     trained, rng = _training(plate, how)
     indices = [part.index for part in trained.block.parts]
     parts = field_parts(trained.plain.operator.space, indices, [np.eye(len(index)) for index in indices])

@@ -192,11 +192,6 @@ _BATCH = 64
 _AXES: tuple[Derivative, Derivative] = ("x", "y")
 
 
-def batches_of(rows: Array) -> list[Array]:
-    """Rows (m,) in batches that are solved together."""
-    return [rows[i : i + _BATCH] for i in range(0, len(rows), _BATCH)]
-
-
 @dataclass(frozen=True, slots=True)
 class PointMass:
     """A mass glued to the surface; parameters are the mass, its place and its radius of gyration.
@@ -208,7 +203,8 @@ class PointMass:
 
     def batches(self, added: Array) -> list[Array]:
         """Rows of the parameters of the change (m, 4) that are solved together."""
-        return batches_of(np.arange(len(added)))
+        rows = np.arange(len(added))
+        return [rows[i : i + _BATCH] for i in range(0, len(rows), _BATCH)]
 
     def predict(self, model: LocalModel, x: Array, jacobian: bool) -> Prediction:
         """Frequencies at parameter vectors (m, n) and, if asked, their derivatives."""
