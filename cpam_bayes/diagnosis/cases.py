@@ -33,7 +33,7 @@ from cpam_bayes.inference.pairing import PairingPrior, monotone_log_likelihood, 
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.parallel import counted, run
 from cpam_bayes.parameters import Parameter
-from cpam_bayes.plate import Measurement, Specimen
+from cpam_bayes.plate import Specimen
 from cpam_bayes.running import TimeIsUpError
 
 # Modes computed beyond a complete list, which may lack two, and beyond one that says it is incomplete.
@@ -67,11 +67,6 @@ def plate_case(
     model = labelled_model(models.bare, measurement, specimen)
     order = list_order(model, reference_vector(specimen, models.parameters))
     return PlateCase(models, measurement, order[: measurement.size], by_shape=by_shape(model))
-
-
-def with_list(case: PlateCase, measurement: Measurement) -> PlateCase:
-    """The same plate with another complete list of as many frequencies; its models are shared."""
-    return replace(case, measurement=measurement)
 
 
 def hypotheses_of(

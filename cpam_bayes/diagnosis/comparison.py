@@ -17,7 +17,6 @@ from cpam_bayes.forward_model.composed import Change, ComposedModel, Part
 from cpam_bayes.forward_model.known_errors import common_covariance, number_of
 from cpam_bayes.forward_model.labels import ShapePairing
 from cpam_bayes.forward_model.local.model import LocalModel
-from cpam_bayes.forward_model.model import ForwardModel
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.identification.density import deviation
 from cpam_bayes.inference.derivatives import NormalScores
@@ -83,7 +82,6 @@ def comparison_of(
     hypotheses: Mapping[int, Hypothesis] | Hypothesis,
     *,
     scatter: float = SCATTER,
-    stand_ins: Mapping[int, ForwardModel] | None = None,
 ) -> LogDensity:
     """The plates' frequency lists against their models under a hypothesis for each plate.
 
@@ -91,7 +89,6 @@ def comparison_of(
 
     hypotheses : by plate, or one for all plates, with one size of the effect; plates of one specimen have
         one size in either case
-    stand_ins : cheaper models of plates, used where a plate has no hypothesis
     """
     of_plate = (
         dict.fromkeys(range(len(cases)), hypotheses) if isinstance(hypotheses, Hypothesis) else hypotheses
@@ -104,10 +101,7 @@ def comparison_of(
         models = case.models
         if hypothesis is not None and hypothesis.other_material:
             models = case.of_other_material()
-        bare: ForwardModel = models.bare
-        if hypothesis is None and stand_ins is not None:
-            bare = stand_ins[i]
-        part, listed = _part(joint, case, models, bare, hypothesis, shared)
+        part, listed = _part(joint, case, models, hypothesis, shared)
         parts.append(part)
         lists.append(listed)
     model = ComposedModel(ParameterSet(tuple(joint.parameters)), tuple(parts))
@@ -154,7 +148,6 @@ def _part(
     joint: _Joint,
     case: PlateCase,
     models: PlateModels,
-    bare: ForwardModel,
     hypothesis: Hypothesis | None,
     shared: bool,
 ) -> tuple[Part, Listed]:
@@ -191,7 +184,7 @@ def _part(
             column = joint.add(parameter)
             misread += [(int(i), column) for i in np.flatnonzero(kept == number)]
     error = np.hypot(models.error, models.theory_error)[np.minimum(modes, len(models.error) - 1)]
-    part = Part(bare, np.array(columns), np.array(scatter), tuple(changes), modes, tuple(misread))
+    part = Part(models.bare, np.array(columns), np.array(scatter), tuple(changes), modes, tuple(misread))
     return part, _listed(case.measurement, kept, error, log_constant)
 
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.comparison import PlateCase
@@ -125,8 +124,5 @@ def _missed_modes(d: Diagnosis, leader: Tested, modes_of: Sequence[Sequence[Mode
 
 def _plate_vector(t: Tested, i: int) -> Array:
     """Parameters of the bare model of one plate where a hypothesis is most probable."""
-    part, x = t.marginal.comparison.model.parts[i], t.marginal.best
-    constants = np.array(x[part.columns])
-    varied = part.scatter >= 0
-    constants[varied] *= 1.0 + x[part.scatter[varied]]
-    return constants
+    at: Array = t.marginal.comparison.model.parts[i].plate_vector(t.marginal.best[None])[0]
+    return at

@@ -117,7 +117,7 @@ class PredictiveChecks:
         self, cases: Sequence[PlateCase], tested: Sequence[Tested], executor: Executor | None
     ) -> None:
         """The p-values of hypotheses about some plates, side by side on an executor."""
-        for t, p in zip(tested, shared_out(explains, cases, tested, executor), strict=True):
+        for t, p in zip(tested, shared_out(explains, cases, [(t,) for t in tested], executor), strict=True):
             self._known[id(t.marginal)] = (t.marginal, p)
 
     def p_value(self, tested: Tested) -> float:
@@ -356,10 +356,10 @@ def gain_of(
     extending = {t.hypothesis.cause for t, _ in members} - {NONE} or {OTHER}
     claimed = extending | set(claim.causes)
     none = weighed.none.marginal
-    top = shared_out(_sampled, cases, _near_the_top(weighed, claimed), executor)
+    top = shared_out(_sampled, cases, [(t,) for t in _near_the_top(weighed, claimed)], executor)
     whole = np.array([t.marginal.log_evidence for t in top])
     items = [(tuple(cases), t, n, None if t is top[0] else none, scatter) for t in top]
-    folds = np.stack(shared_out(_folds_of, cases, items, executor))
+    folds = np.stack(shared_out(left_out, cases, items, executor))
     is_plain = np.array([t.hypothesis.cause == NONE for t in top])
     log_prior = np.log([t.hypothesis.prior for t in top])
     weight = folds + log_prior[:, None]
@@ -448,10 +448,6 @@ def _reweighted(marginal: Marginal, about: LogDensity) -> Array:
         if pareto_shape(own) < most_k and error < most_error:
             evidences[i] = marginal.log_evidence + logsumexp(own)
     return evidences
-
-
-def _folds_of(item: tuple[Sequence[PlateCase], Tested, int, Marginal | None, float]) -> Array:
-    return left_out(*item)
 
 
 def _near_the_top(weighed: Weighed, claimed: set[str]) -> list[Tested]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cpam_bayes.effects import Effect, PlateFacts, extend
 from cpam_bayes.forward_model.build import basis_tolerance, model_key, remembered, without_matrices
 from cpam_bayes.forward_model.known_errors import common_errors
-from cpam_bayes.forward_model.local.basis import BarePlate, patch_model, point_mass_model
+from cpam_bayes.forward_model.local.basis import patch_model, point_mass_model
 from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.model import (
     ForwardModel,
@@ -276,12 +276,11 @@ def extended_problem(plate: ConvergedPlate, effect: Effect) -> tuple[Problem, Ar
 
 def local_model(plate: PlateModels, effect: Effect) -> LocalModel:
     """The model of a plate with an effect whose place is a parameter."""
-    bare = BarePlate(plate.problem, plate.settings, plate.samples.x, plate.n_modes, plate.error)
     if effect.local is None:
         raise ValueError(f"effect {effect.name}: at any place, but its form is not given in `local`")
     if effect.local == "point":
-        return point_mass_model(bare, effect.parameter_set)
-    return patch_model(bare, effect.parameter_set, effect.local)
+        return point_mass_model(plate.bare.full, plate.samples.x, effect.parameter_set)
+    return patch_model(plate.bare.full, plate.samples.x, effect.parameter_set, effect.local)
 
 
 def converged_plate(

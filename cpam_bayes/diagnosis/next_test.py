@@ -70,11 +70,7 @@ class FurtherTest:
 
 
 def further_tests(
-    cases: Sequence[PlateCase],
-    about: int,
-    last_mode: int,
-    scatter: float,
-    notify: Callable[[str], None] = lambda text: None,
+    cases: Sequence[PlateCase], about: int, last_mode: int, scatter: float
 ) -> list[FurtherTest]:
     """The tests of one of the plates; last_mode : number of the last mode that any hypothesis has listed."""
     case = cases[about]
@@ -347,7 +343,6 @@ def next_measurements(
     diagnosis: Diagnosis,
     *,
     always: bool = False,
-    noise: float | None = None,
     scatter: float = SCATTER,
     executor: Executor | None = None,
     notify: Callable[[str], None] = lambda text: None,
@@ -355,10 +350,11 @@ def next_measurements(
     """Tests of the plate that the leading cause is about, the most informative first.
 
     Another edge condition, four more modes, a known mass at a corner and at the centre, a sister plate of
-    the same material, weighing and gauging. always : also where nothing is wrong or the cause is named.
-    noise : relative standard deviation of a frequency in them; left out, that of the list or, where it was
-    inferred, what each hypothesis says of it. Every hypothesis predicts the data from its own posterior.
-    executor : where that is done.
+    the same material, weighing and gauging. Every hypothesis predicts the data from its own posterior, with
+    the noise of the list or, where it was inferred, what the hypothesis says of it.
+
+    always : also where nothing is wrong or the cause is named
+    executor : where that is done
     """
     if _is_settled(diagnosis) and not always:
         return ()
@@ -369,7 +365,7 @@ def next_measurements(
     last = max(int(t.marginal.comparison.model.parts[about].modes.max()) for t in leading)
     tests = further_tests(diagnosis.cases, about, last, scatter)
     notify(f"predicting {len(tests)} further tests")
-    asked = _Asked(diagnosis.cases, about, last, scatter, noise, leading)
+    asked = _Asked(diagnosis.cases, about, last, scatter, leading)
     items = [(asked, number) for number in range(len(tests))]
     predicted = shared_out(_candidate, diagnosis.cases, items, executor, common=asked)
     candidates = []
@@ -397,16 +393,14 @@ class _Asked:
     about: int
     last_mode: int
     scatter: float
-    noise: float | None
     leading: tuple[Tested, ...]
 
 
-def _candidate(item: tuple[_Asked, int]) -> Candidate | None:
+def _candidate(asked: _Asked, number: int) -> Candidate | None:
     """The information of the test of some number, ``None`` where it cannot be predicted."""
-    asked, number = item
     test = further_tests(asked.cases, asked.about, asked.last_mode, asked.scatter)[number]
     try:
-        outlook = outlook_of(asked.leading, asked.cases[asked.about], test.prepare(), asked.noise)
+        outlook = outlook_of(asked.leading, asked.cases[asked.about], test.prepare())
     except RigidBodyError:
         return None
     return Candidate(test.name, test.description, *information(outlook))
@@ -479,7 +473,7 @@ def _entropies(p: Array) -> Array:
     return np.asarray(-np.sum(p * np.log(np.maximum(p, 1e-300)), axis=-1))
 
 
-def outlook_of(leading: Sequence[Tested], case: PlateCase, predict: Predict, noise: float | None) -> Outlook:
+def outlook_of(leading: Sequence[Tested], case: PlateCase, predict: Predict) -> Outlook:
     """The data of a test under each hypothesis, as relative deviations from what the first one predicts."""
     means, covariances = [], []
     unit: Array | None = None
@@ -494,7 +488,7 @@ def outlook_of(leading: Sequence[Tested], case: PlateCase, predict: Predict, noi
         if prediction.noise is not None:
             noise_variance = prediction.noise**2
         else:
-            noise_variance = _noise(t, case, unit, noise, prediction.as_now)
+            noise_variance = _noise(t, case, unit, prediction.as_now)
         spread = (y - mean).T @ ((y - mean) * weight[:, None])
         covariances.append(spread + np.diag(noise_variance) + prediction.missing)
         means.append(mean)
@@ -507,14 +501,12 @@ def outlook_of(leading: Sequence[Tested], case: PlateCase, predict: Predict, noi
     )
 
 
-def _noise(t: Tested, case: PlateCase, f: Array, noise: float | None, as_now: bool) -> Array:
+def _noise(t: Tested, case: PlateCase, f: Array, as_now: bool) -> Array:
     """Relative variance of frequencies (n,) beyond the spread of the draws."""
     comparison, measurement = t.marginal.comparison, case.measurement
     weight = np.exp(t.marginal.log_weight)
     weight /= weight.sum()
-    if noise is not None:
-        variance = noise**2
-    elif measurement.frequency_sd is not None:
+    if measurement.frequency_sd is not None:
         variance = float(np.mean((measurement.frequency_sd / measurement.frequencies) ** 2))
     elif measurement.relative_std is not None:
         variance = measurement.relative_std**2

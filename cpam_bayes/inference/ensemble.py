@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.inference.derivatives import prior_sd
-from cpam_bayes.inference.laplace import GaussianApproximation, optimise
+from cpam_bayes.inference.laplace import Optimum, find_optima, gauss_newton_covariance
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import Proposal
 from cpam_bayes.parameters import ParameterSet
@@ -30,6 +30,8 @@ Array = NDArray[Any]
 
 # The window is so many times as long as the time itself.
 _WINDOW = 5.0
+# Optima that walkers start about.
+_MOST_OPTIMA = 4
 
 
 def integrated_times(chain: Array) -> Array:
@@ -236,12 +238,13 @@ def start_positions(
     values : (m,) their misfits.
     """
     optima = _optima(posterior, swarm, values)
-    height = np.array([o.log_prob + 0.5 * np.linalg.slogdet(o.covariance)[1] for o in optima])
+    covariance = np.array([gauss_newton_covariance(posterior, o.x) for o in optima])
+    height = np.array([o.log_prob for o in optima]) + 0.5 * np.linalg.slogdet(covariance)[1]
     weight = np.exp(height - height.max())
     chosen = rng.choice(len(optima), size=n, p=weight / weight.sum())
     lower, upper = posterior.parameters.lower, posterior.parameters.upper
-    centre = np.array([o.optimum for o in optima])[chosen]
-    factor = np.linalg.cholesky(np.array([o.covariance for o in optima]))[chosen]
+    centre = np.array([o.x for o in optima])[chosen]
+    factor = np.linalg.cholesky(covariance)[chosen]
     found, widen, missing = np.empty((n, posterior.parameters.size)), 1.0, np.arange(n)
     while len(missing):
         away = widen * factor[missing] @ rng.standard_normal((len(missing), factor.shape[1], 1))
@@ -252,7 +255,7 @@ def start_positions(
     return found
 
 
-def _optima(posterior: Posterior, swarm: Array, values: Array, most: int = 4) -> list[GaussianApproximation]:
+def _optima(posterior: Posterior, swarm: Array, values: Array) -> list[Optimum]:
     """Distinct optima next to the best and most different personal bests of a swarm."""
     parameters = posterior.parameters
     order = np.argsort(values, kind="stable")
@@ -266,13 +269,13 @@ def _optima(posterior: Posterior, swarm: Array, values: Array, most: int = 4) ->
         far = all(np.linalg.norm((x - s) / scale) > 0.3 for s in starts)
         if far and np.isfinite(posterior.log_prob(x[None])[0]):
             starts.append(x)
-        if len(starts) == most:
+        if len(starts) == _MOST_OPTIMA:
             break
     if not starts:
         raise ValueError(
             "chains cannot start: no particle of the swarm is within the bounds and the constraints (9)"
         )
-    return [optimise(posterior, x) for x in starts]
+    return [find_optima(posterior, x[None])[0] for x in starts]
 
 
 def _noise_of(posterior: Posterior, x: Array) -> float:

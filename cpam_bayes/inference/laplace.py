@@ -216,20 +216,6 @@ _NEGLIGIBLE_NATS = 30.0
 
 
 @dataclass(frozen=True, slots=True)
-class GaussianApproximation:
-    """A posterior as a Gaussian about one optimum.
-
-    optimum : (n,).
-    covariance : (n, n), the inverse of the Gauss-Newton Hessian with the variances of the priors added, so
-    that a direction which the data leave open keeps its prior's width.
-    """
-
-    optimum: Array
-    log_prob: float
-    covariance: Array
-
-
-@dataclass(frozen=True, slots=True)
 class Optimum:
     """A local maximum of a posterior's density over the scaled coordinates u.
 
@@ -334,18 +320,10 @@ def _distinct(value: Callable[[Array], Array], u: Array, height: Array, most: in
     return kept
 
 
-def optimise(posterior: Posterior, start: Array) -> GaussianApproximation:
-    """The optimum of the posterior next to ``start`` (n,), bounded by the priors' support.
-
-    Raises ``ValueError`` if the start lies outside the support of the prior.
-    """
-    best = find_optima(posterior, start[None])[0]
-    return GaussianApproximation(best.x, best.log_prob, gauss_newton_covariance(posterior, best.x))
-
-
 def gauss_newton_covariance(posterior: Posterior, x: Array) -> Array:
     """(F + P^-1)^-1 at x (n,), F the information of the data, P the covariance of the priors, (n, n).
 
+    A direction which the data leave open keeps its prior's width.
     F is J^T S^-1 J for Gaussian noise that is known, see ``expansion.information``.
     """
     by_sd = 1.0 / prior_sd(posterior)

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.inference.student_mixture import log_sum_exp
 from cpam_bayes.plate import Measurement
 
 Array = NDArray[Any]
@@ -87,7 +88,7 @@ def monotone_log_likelihood(
     if not table.n:
         return np.asarray(table.nothing)
     forward = table.sums()[0]
-    value = np.logaddexp(table.nothing, _log_sum(forward + table.tail(), axes=(1, 2)))
+    value = np.logaddexp(table.nothing, log_sum_exp(forward + table.tail(), axis=(1, 2)))
     return np.where(value > 0.1 * _IMPOSSIBLE, value, -np.inf)
 
 
@@ -224,10 +225,3 @@ class _Prices:
         after = self.miss.sum(axis=1, keepdims=True) - np.cumsum(self.miss, axis=1)
         below = np.append(np.cumsum(self.extra[:0:-1])[::-1], 0.0)
         return np.asarray(after[:, None, :] + below[None, :, None])
-
-
-def _log_sum(values: Array, axes: tuple[int, ...]) -> Array:
-    top = values.max(axis=axes, keepdims=True)
-    top = np.where(np.isfinite(top), top, 0.0)
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.log(np.sum(np.exp(values - top), axis=axes)) + top.reshape(len(values)))

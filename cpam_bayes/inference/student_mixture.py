@@ -216,8 +216,8 @@ def widened(mixture: Mixture, share: float, factor: float, points: Array, weight
     )
 
 
-def log_sum_exp(values: Array, axis: int) -> Array:
-    """log sum exp along an axis, -inf where all are."""
+def log_sum_exp(values: Array, axis: int | tuple[int, ...]) -> Array:
+    """log sum exp along axes, -inf where all are."""
     top = values.max(axis=axis, keepdims=True)
     top = np.where(np.isfinite(top), top, 0.0)
     with np.errstate(divide="ignore"):

@@ -265,7 +265,7 @@ class Scan:
         def count(done: int) -> None:
             progress(before + done)
 
-        for tried in shared_out(_tried, self.cases, items, self.executor, common=scan, progress=count):
+        for tried in shared_out(Scan.tried, self.cases, items, self.executor, common=scan, progress=count):
             self.tested += tried.tested
             self.not_tested += tried.not_tested
             self.best = max(self.best, tried.best)
@@ -441,7 +441,7 @@ class Scan:
             t.key: found
             for (_, t, _), found in zip(
                 items,
-                shared_out(_leftovers, self.cases, items, self.executor, common=scan),
+                shared_out(Scan.leftovers, self.cases, items, self.executor, common=scan),
                 strict=True,
             )
             if found
@@ -487,16 +487,6 @@ class Scan:
             return None
         table = shift_table(comparison, hypothesis.parameters, sizes, self.none)
         return table if len(table.scores) else None
-
-
-def _tried(item: tuple[Scan, Trial]) -> Tried:
-    scan, trial = item
-    return scan.tried(trial)
-
-
-def _leftovers(item: tuple[Scan, Tested, Marginal]) -> list[Tested]:
-    scan, t, other = item
-    return scan.leftovers(t, other)
 
 
 def misfit_probability(marginal: Marginal) -> float:

@@ -514,11 +514,10 @@ def _start(scan: Scan, candidate: _Candidate) -> Array:
 
 
 def _promising(
-    item: tuple[tuple[PlateCase, ...], Tested, tuple[Hypothesis, ...], float],
+    cases: tuple[PlateCase, ...], t: Tested, pairs: tuple[Hypothesis, ...], scatter: float
 ) -> list[tuple[int, Array]]:
     """Numbers of the pairs with a cause that fit the lists best, and starts (s, n) of each."""
-    all_cases, t, pairs, scatter = item
-    cases = t.cases or all_cases
+    cases = t.cases or cases
     comparisons = [comparison_of(cases, about(cases, pair, t.plates), scatter=scatter) for pair in pairs]
     alone = comparison_of(cases, about(cases, t.hypothesis, t.plates), scatter=scatter)
     sizes = effect_columns(alone, t.hypothesis)
