@@ -1,18 +1,14 @@
 """What one hypothesis says of the lists: its optima, a proposal about them, and its marginal likelihood.
 
-All optima over constants and sizes together are sought first. A size that the data determine is one
-Gaussian more. One that they do not determine has a density that no Gaussian describes: skew, taper, warp and
-turned plies have zero slope at zero by symmetry, what can only add piles up at zero, and a place is anywhere.
-The proposal then has components at nodes that fill the priors of such sizes. The evidence by these Gaussians
-ranks hypotheses; what comes near the best one is integrated by importance sampling from its proposal.
-
-A tested hypothesis keeps its marginal likelihood, its best fit, and its shifts of the frequencies at the
-plain model's optimum.
+A size that the data determine is one Gaussian more. One that they leave open has a density that no Gaussian
+describes: skew, taper, warp and turned plies have zero slope at zero by symmetry, what can only add piles up
+at zero, and a place is anywhere. The proposal has components at nodes that fill the priors of such sizes. The
+evidence by these Gaussians ranks hypotheses; what comes near the best one is sampled (`sampled`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -325,6 +321,14 @@ class Tested:
 def ranked(tested: Sequence[Tested]) -> list[Tested]:
     """Hypotheses, those with most prior times evidence first."""
     return sorted(tested, key=lambda t: t.log_weight, reverse=True)
+
+
+def best_by_cause(order: Iterable[Tested]) -> dict[str, Tested]:
+    """The first hypothesis of every cause, in this order."""
+    best: dict[str, Tested] = {}
+    for t in order:
+        best.setdefault(t.hypothesis.cause, t)
+    return best
 
 
 def distinct_hypotheses(tested: Sequence[Tested]) -> list[Hypothesis]:

@@ -26,6 +26,7 @@ from cpam_bayes.diagnosis.evidence.marginal import (
     Marginal,
     ShiftTable,
     Tested,
+    best_by_cause,
     laplace_marginal,
     ranked,
     shift_table,
@@ -352,9 +353,7 @@ class Scan:
         """A hypothesis with its pairing and the plain model's, where lists are incomplete."""
         if not self.is_incomplete:
             return Tested(hypothesis, plates, marginal)
-        as_plain = comparison_of(
-            self.plain_cases, about(self.cases, hypothesis, plates), scatter=self.scatter
-        )
+        as_plain = self.density(hypothesis, plates, self.plain_cases)
         return Tested(hypothesis, plates, marginal, cases=cases, as_plain=as_plain)
 
     def _add_pairings(
@@ -391,14 +390,10 @@ class Scan:
             return
         paired = list({lists.key: lists.cases for lists in (*self.pairings, *self.seeds)}.values())
         entries = [(h, plates, cases) for h, plates in variants for cases in paired]
-        comparisons = [
-            comparison_of(cases, about(self.cases, h, plates), scatter=self.scatter)
-            for h, plates, cases in entries
-        ]
+        comparisons = [self.density(*entry) for entry in entries]
         plain = self.none.comparison
         if self.is_incomplete:
-            whole = in_order(self.cases)
-            plain = comparison_of(whole, self.tested[0].hypothesis, scatter=self.scatter)
+            plain = self.density(self.tested[0].hypothesis, self.tested[0].plates, in_order(self.cases))
         fits = repairings(plain, comparisons, self.none.z[:2])
         value = np.array([fit.log_density for fit in fits])
         order = np.argsort(-value, kind="stable")
@@ -424,11 +419,9 @@ class Scan:
         """
         if self.is_explained:
             return
-        leading: dict[str, Tested] = {}
-        for t in ranked(self.tested):
-            if t.hypothesis.cause not in (NONE, OTHER):
-                leading.setdefault(t.hypothesis.cause, t)
-        other = next((t for t in ranked(self.tested) if t.hypothesis.cause == OTHER), None)
+        leading = best_by_cause(ranked(self.tested))
+        leading.pop(NONE, None)
+        other = leading.pop(OTHER, None)
         if other is None:
             return
         scan = replace(self, tested=self.tested[:1], not_tested=[], executor=None)

@@ -129,30 +129,23 @@ def bare_modes(model: LocalModel, plate: Array) -> PlateModes:
     return modes
 
 
-@dataclass(frozen=True, slots=True)
-class ChangedPlate:
-    """The bare plate on its modes and its responses to what its known masses and a change do.
+def changed_plate(
+    model: LocalModel, bare: PlateModes, plate: Array, loads: Array
+) -> tuple[RitzBasis, Array, Array]:
+    """The bare plate at parameter vectors (m, n), ready for a change with loads (m, n_loads, n).
 
-    basis : without either
-    energy, mass : K + shift M and M with the known masses, (m, r, r)
+    On its modes and its responses to what its known masses and the change do; K + shift M and M with these
+    masses, (m, r, r).
     """
-
-    basis: RitzBasis
-    energy: Array
-    mass: Array
-
-
-def changed_plate(model: LocalModel, bare: PlateModes, plate: Array, loads: Array) -> ChangedPlate:
-    """The bare plate at parameter vectors (m, n), ready for a change with loads (m, n_loads, n)."""
     block, m = model.block, len(plate)
     known = np.broadcast_to(block.rows, (m, *block.rows.shape))
     basis = ritz_basis(bare, np.concatenate((loads, known), axis=1))
     if not len(block.rows):
-        return ChangedPlate(basis, basis.energy, basis.mass)
+        return basis, basis.energy, basis.mass
     there = at_points(block.rows, basis)
     _, mass = model.bare.coefficients(plate)
     added = np.swapaxes(there, 1, 2) @ ((mass @ block.inertia)[..., None] * there)
-    return ChangedPlate(basis, basis.energy + model.shift * added, basis.mass + added)
+    return basis, basis.energy + model.shift * added, basis.mass + added
 
 
 def _whitened(energy: Array, mass: Array, k: int) -> tuple[Array, Array]:
@@ -213,13 +206,10 @@ class PointMass:
         weights = point_inertia(model, plate, mass, gyration)
         points = PointValues(added[:, 1]), PointValues(added[:, 2])
         rows = rows_in_basis(model, points, "", m)
-        changed = changed_plate(model, bare_modes(model, plate), plate, rows[:, self.loads])
-        basis = changed.basis
+        basis, energy, inertia = changed_plate(model, bare_modes(model, plate), plate, rows[:, self.loads])
         at_place = at_points(rows, basis)
         mass_there = np.swapaxes(at_place, 1, 2) @ (weights[:, :, None] * at_place)
-        lam, z = eigenvalues(
-            model, changed.energy + model.shift * mass_there, changed.mass + mass_there, jacobian
-        )
+        lam, z = eigenvalues(model, energy + model.shift * mass_there, inertia + mass_there, jacobian)
         if z is None:
             return prediction(lam, None)
         phi = in_common_basis(z, basis)
