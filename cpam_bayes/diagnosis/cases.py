@@ -10,10 +10,8 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis, prior_by_cause, single_hypotheses
@@ -31,6 +29,7 @@ from cpam_bayes.forward_model.model import reference_vector
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.inference.pairing import PairingPrior, monotone_log_likelihood, most_probable_pairing
 from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parallel import counted, run
 from cpam_bayes.parameters import Parameter
 from cpam_bayes.plate import Specimen
@@ -253,9 +252,6 @@ def _can_be_sent(effect: Effect) -> bool:
     except (pickle.PicklingError, AttributeError, TypeError):
         return False
     return True
-
-
-Array = NDArray[Any]
 
 
 def is_incomplete(case: PlateCase) -> bool:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, Hypothesis
 from cpam_bayes.diagnosis.models import PlateModels, extended_model, plate_models
@@ -22,11 +20,9 @@ from cpam_bayes.identification.density import deviation
 from cpam_bayes.inference.derivatives import NormalScores
 from cpam_bayes.inference.log_density import Listed, LogDensity
 from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedLogNormal
 from cpam_bayes.plate import Measurement
-
-Array = NDArray[Any]
-
 
 # Repeatability of a list that does not state it: docs/priors.md says where it is from.
 REPEATABILITY_PRIOR = TruncatedLogNormal(0.002, 0.8, 1e-5, 0.02)

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
-
-from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.diagnose import Diagnosis
 from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.diagnosis.fit import Fit
 from cpam_bayes.mechanics.modes import Mode
-
-Array = NDArray[Any]
+from cpam_bayes.mechanics.problem import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,10 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 from scipy.stats import chi2
 
@@ -26,9 +25,8 @@ from cpam_bayes.forward_model.composed import ComposedModel
 from cpam_bayes.forward_model.preconditions import birge_ratio
 from cpam_bayes.inference.log_density import LogDensity, kept_of
 from cpam_bayes.inference.student_mixture import RELIABLE_K, effective_size, pareto_shape
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter
-
-Array = NDArray[Any]
 
 # Scores of an inferred repeatability that its prior is averaged over; its tail is wanted down to 1e-6.
 _SCORES = np.linspace(-5.0, 5.0, 41)

@@ -8,10 +8,8 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.effects import Effect, PlateFacts, extend
 from cpam_bayes.forward_model.build import basis_tolerance, model_key, remembered, without_matrices
@@ -33,14 +31,12 @@ from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings, re
 from cpam_bayes.forward_model.three_dimensions import theory_bias, theory_error
 from cpam_bayes.mechanics.affine import AffineOperator
 from cpam_bayes.mechanics.convergence import Tolerance, converge
-from cpam_bayes.mechanics.problem import Problem, any_of
+from cpam_bayes.mechanics.problem import Array, Problem, any_of
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet, Uniform
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.edges import Field
 from cpam_bayes.running import single_blas_thread
-
-Array = NDArray[Any]
 
 # Rigid-body motions and stretching that some effect needs, kept in the space of the bare plate.
 _CONTENT: tuple[tuple[Field, tuple[int, int]], ...] = (

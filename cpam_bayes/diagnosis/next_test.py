@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp, ndtri
 from scipy.stats import qmc
 
@@ -23,12 +21,11 @@ from cpam_bayes.forward_model.composed import Change, ComposedModel, Part
 from cpam_bayes.forward_model.local.modal import ModalPlate, changed_on_modes, on_modes
 from cpam_bayes.forward_model.model import ForwardModel, PlateModel, model_on_basis
 from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Sensor
 from cpam_bayes.plate.edges import ALL_FREE, CANTILEVER, conditions
 from cpam_bayes.running import single_blas_thread
-
-Array = NDArray[Any]
 
 # Further modes; a known mass over the plate's, and its distance from a corner over the sides.
 MORE_MODES = 4

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from cpam_bayes.diagnosis.evidence.marginal import Marginal, ShiftTable
@@ -15,8 +13,7 @@ from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.effects import scale_of
 from cpam_bayes.inference.log_density import LogDensity, kept_of
 from cpam_bayes.mechanics.modes import RigidBodyError
-
-Array = NDArray[Any]
+from cpam_bayes.mechanics.problem import Array
 
 # Two causes are distinguished below this cosine of their visible signatures.
 ALIKE = 0.95

@@ -10,7 +10,6 @@ from threading import Lock
 from typing import Any, Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.model import (
     PlateModel,
@@ -21,13 +20,12 @@ from cpam_bayes.forward_model.model import (
 )
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, reduce
 from cpam_bayes.mechanics.affine import AffineOperator
-from cpam_bayes.mechanics.problem import THEORY_ALONE, Bias
+from cpam_bayes.mechanics.problem import THEORY_ALONE, Array, Bias
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement, Specimen
 from cpam_bayes.running import single_blas_thread
 from cpam_bayes.storage import name_unused_models
 
-Array = NDArray[Any]
 T = TypeVar("T")
 
 # Error of a basis over the least noise, and between which it lies.

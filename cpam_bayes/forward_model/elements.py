@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.model import PlateModel, plate_problem
 from cpam_bayes.mechanics.fem import (
@@ -19,11 +17,9 @@ from cpam_bayes.mechanics.fem import (
     fem_space_from_mesh,
 )
 from cpam_bayes.mechanics.modes import solve
-from cpam_bayes.mechanics.problem import Problem
+from cpam_bayes.mechanics.problem import Array, Problem
 from cpam_bayes.plate import Specimen
 from cpam_bayes.running import single_blas_thread
-
-Array = NDArray[Any]
 
 # Frequencies of the element converge like its size to this power.
 _RATE = 4

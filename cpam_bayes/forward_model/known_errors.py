@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.effects.effect import FREQUENCY_SCALE as SCALE
 from cpam_bayes.forward_model.labels import LabelledModel
@@ -31,10 +30,9 @@ from cpam_bayes.forward_model.three_dimensions import (
     common_theory_errors,
     theory_powers,
 )
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Uniform
 from cpam_bayes.plate import Plate, Specimen
-
-Array = NDArray[Any]
 
 FREQUENCY_SCALE: Final = SCALE.name
 # Range of a size about its value in which its derivative is taken, relative.

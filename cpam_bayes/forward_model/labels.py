@@ -10,24 +10,23 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 import scipy.optimize
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from cpam_bayes.answer import Notice
 from cpam_bayes.forward_model.model import Prediction, reference_vector
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.mechanics.modes import Mode, Spectrum
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.plate import Measurement, Specimen
 from cpam_bayes.plate.records import MeasuredShapes
 
 DEFAULT_MODES: Final = 10
 """Number of modes where none were measured."""
 
-Array = NDArray[Any]
 
 # Square of the error of a shape, relative to its size, that is usual: a MAC of 0.98 with its own mode.
 _USUAL_ERROR: Final = 0.02

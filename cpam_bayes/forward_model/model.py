@@ -24,14 +24,12 @@ from cpam_bayes.mechanics.modes import (
     shapes_on_grid,
     solve,
 )
-from cpam_bayes.mechanics.problem import Bias, PlateState, Problem, Values, bare_plate
+from cpam_bayes.mechanics.problem import Array, Bias, PlateState, Problem, Values, bare_plate
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import Parameter, ParameterSet, Prior, TruncatedLogNormal, TruncatedNormal, Uniform
 from cpam_bayes.plate import Hybrid, Material, Plate, Specimen, split_name
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, MaterialSymmetry, ShearModel, laminate_geometry
 from cpam_bayes.running import single_blas_thread
-
-Array = NDArray[Any]
 
 NO_PARAMETERS = ParameterSet(())
 SIZES = {"length": "m", "width": "m", "thickness": "m", "density": "kg/m3", "mass": "kg"}

@@ -10,11 +10,9 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.model import (
     PlateModel,
@@ -26,11 +24,9 @@ from cpam_bayes.forward_model.model import (
 from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock, DenseOperator, RitzBlock
 from cpam_bayes.mechanics.loaded import unloaded
 from cpam_bayes.mechanics.modes import check_rigid
-from cpam_bayes.mechanics.problem import rigid_body_count
+from cpam_bayes.mechanics.problem import Array, rigid_body_count
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate.edges import FIELDS
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)

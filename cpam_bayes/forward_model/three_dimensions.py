@@ -6,15 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cpam_bayes.answer import Notice
 from cpam_bayes.forward_model.model import plate_problem, reference_constants
 from cpam_bayes.mechanics.modes import Mode
-from cpam_bayes.mechanics.problem import Bias, PlateState
+from cpam_bayes.mechanics.problem import Array, Bias, PlateState
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.edges import conditions
 from cpam_bayes.plate.laminate import (
@@ -26,8 +26,6 @@ from cpam_bayes.plate.laminate import (
     stiffness_invariants,
 )
 from cpam_bayes.plate.layup import Layup
-
-Array = NDArray[Any]
 
 THEORY_SHEAR: Final = "theory_shear"
 """The bias by shear, as the relative error of a mode of 1 kHz."""

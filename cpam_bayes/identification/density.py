@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 
 from cpam_bayes.forward_model.composed import ComposedModel, Part
-from cpam_bayes.forward_model.known_errors import Array, common_covariance, common_errors
+from cpam_bayes.forward_model.known_errors import common_covariance, common_errors
 from cpam_bayes.forward_model.labels import list_order
 from cpam_bayes.forward_model.preconditions import birge_ratio
 from cpam_bayes.forward_model.reduced import ReducedModel
@@ -33,6 +33,7 @@ from cpam_bayes.inference.proposal import (
     maximised,
     refitted_moments,
 )
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
 from cpam_bayes.plate import Measurement, Specimen
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.answer import Notice
 from cpam_bayes.inference.completeness import Profile, profile_likelihoods
@@ -16,10 +15,9 @@ from cpam_bayes.inference.derivatives import prior_sd
 from cpam_bayes.inference.ensemble import EnsembleResult
 from cpam_bayes.inference.pairing import Pairing
 from cpam_bayes.inference.posterior import Posterior
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Constraint, Hybrid, Material
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.labels import list_order
 from cpam_bayes.forward_model.model import ForwardModel, Prediction, reference_vector
@@ -16,10 +14,9 @@ from cpam_bayes.inference.derivatives import Coordinates, Expansion, coordinates
 from cpam_bayes.inference.laplace import laplace_log_evidence, maximise
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.mechanics.modes import Mode
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import ParameterSet, Uniform
 from cpam_bayes.plate import Specimen
-
-Array = NDArray[Any]
 
 # Log odds from which another pairing is far more probable.
 _DOUBTFUL_LOG_ODDS = float(np.log(100.0))

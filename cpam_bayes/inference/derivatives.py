@@ -7,17 +7,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.model import Prediction
 from cpam_bayes.inference.posterior import Posterior
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.priors import Priors
-
-Array = NDArray[Any]
 
 # Step of the complex-step derivative: any small number does, no digits go.
 _COMPLEX_STEP = 1e-30

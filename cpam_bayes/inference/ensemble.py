@@ -16,17 +16,15 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.inference.derivatives import prior_sd
 from cpam_bayes.inference.laplace import Optimum, find_optima, gauss_newton_covariance
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import Proposal
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.running import cut_short, is_time_up
 from cpam_bayes.storage import ARRAYS, read_arrays, write_arrays
-
-Array = NDArray[Any]
 
 # The window is so many times as long as the time itself.
 _WINDOW = 5.0

@@ -10,10 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import qmc
 
@@ -29,8 +28,7 @@ from cpam_bayes.inference.derivatives import (
 )
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.student_mixture import log_box_mass, log_student_t
-
-Array = NDArray[Any]
+from cpam_bayes.mechanics.problem import Array
 
 # Gain in nats that further steps must promise.
 _PROMISE = 1e-9

@@ -7,17 +7,14 @@ integral is the marginal likelihood.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.composed import ComposedModel
 from cpam_bayes.inference.derivatives import Expansion, NormalScores
 from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import ParameterSet
-
-Array = NDArray[Any]
 
 # Fraction of a smooth discrepancy's variance that is common to neighbouring modes; the rest is white.
 SMOOTH_FRACTION = 0.95

@@ -8,15 +8,14 @@ a price, and the likelihood is the sum over all of them.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.inference.student_mixture import log_sum_exp
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.plate import Measurement
 
-Array = NDArray[Any]
 # Log price of a false peak where there are none: finite, so that none times it is nothing.
 _IMPOSSIBLE: Final = -1e300
 

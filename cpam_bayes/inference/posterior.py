@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
 from cpam_bayes.forward_model.labels import Alternative, LabelledModel
@@ -24,10 +23,10 @@ from cpam_bayes.inference.pairing import (
     most_probable_labelled_pairing,
     pair_probabilities,
 )
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter, ParameterSet, ScaledStudentT
 from cpam_bayes.plate import Measurement
 
-Array = NDArray[Any]
 Likelihood = Literal["relative", "absolute"]
 
 # Prior of an inferred amplitude: half a Student-t, 1 % of a frequency wide; its bounds.

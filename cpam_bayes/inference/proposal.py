@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from cpam_bayes.inference.derivatives import (
@@ -44,8 +43,7 @@ from cpam_bayes.inference.student_mixture import (
     weighted,
     widened,
 )
-
-Array = NDArray[Any]
+from cpam_bayes.mechanics.problem import Array
 
 # Said where importance sampling meets nothing but zeros.
 NOWHERE = "no draw of the proposal lies in the support of the prior; check bounds and constraints"

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes import __version__
 from cpam_bayes.answer import Notice
@@ -31,11 +30,10 @@ from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import NOWHERE, AdaptationSettings, adapt, adapted, draw_round, refine
 from cpam_bayes.inference.student_mixture import RELIABLE_K, log_mixture, weighted
 from cpam_bayes.inference.swarm import SwarmSettings, minimise
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.plate import Specimen, to_user, unit_of, user_name
 from cpam_bayes.running import single_blas_thread
 from cpam_bayes.storage import opened_draws
-
-Array = NDArray[Any]
 
 # Of the proposal that chains jump to: it need not be as good as that of an evidence.
 JUMPS = AdaptationSettings()

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri, gammaln, log_ndtr, ndtri, ndtri_exp, stdtr, stdtrit
 from scipy.stats import qmc
 
-Array = NDArray[Any]
+from cpam_bayes.mechanics.problem import Array
 
 # Fraction of the whole that a component keeps at least, and ridge of its scale over that of all points.
 _LEAST_FRACTION, _RIDGE = 0.01, 1e-6

@@ -14,10 +14,8 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.special import ndtri
 from scipy.stats import qmc
@@ -39,10 +37,9 @@ from cpam_bayes.diagnosis.hypotheses import (
 from cpam_bayes.diagnosis.signatures import ABSORBED, ALIKE, AS_WELL, HARDLY
 from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.inference.student_mixture import log_sum_exp
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter
 from cpam_bayes.running import single_blas_thread
-
-Array = NDArray[Any]
 
 # Scores of the size at which shifts at a place are computed.
 _SCORES = np.linspace(-SIZE_RANGE, SIZE_RANGE, 19)

@@ -10,10 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.comparison import PlateCase, effect_columns
@@ -31,10 +29,9 @@ from cpam_bayes.inference.laplace import maximise
 from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.inference.proposal import Optima, about
 from cpam_bayes.inference.student_mixture import Mixture, sobol_points
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter
 from cpam_bayes.running import single_blas_thread
-
-Array = NDArray[Any]
 
 # A size is determined where its score's standard deviation is below this at every optimum that carries mass.
 _DETERMINED_SD, _CARRIES = 0.15, 1e-3

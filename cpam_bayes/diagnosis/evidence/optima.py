@@ -12,10 +12,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import qmc
 
@@ -24,8 +23,7 @@ from cpam_bayes.inference.laplace import maximise
 from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.inference.proposal import Optima, maximised
 from cpam_bayes.mechanics.modes import RigidBodyError
-
-Array = NDArray[Any]
+from cpam_bayes.mechanics.problem import Array
 
 # Scores of sizes are spread evenly this far: gross errors are in the tails of their priors.
 SIZE_RANGE = 3.6

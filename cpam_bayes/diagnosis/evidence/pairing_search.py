@@ -13,10 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.cases import (
     is_incomplete,
@@ -33,8 +31,7 @@ from cpam_bayes.diagnosis.hypotheses import NONE, Hypothesis
 from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion
 from cpam_bayes.inference.laplace import Maxima, maximise, promised_gain
 from cpam_bayes.inference.log_density import LogDensity, kept_of
-
-Array = NDArray[Any]
+from cpam_bayes.mechanics.problem import Array
 
 # Draws that each pairing is fitted from, those that go on, and the steps of both rounds.
 _FIRST, _FIRST_STEPS, _SECOND, _SECOND_STEPS = 5, 4, 2, 14

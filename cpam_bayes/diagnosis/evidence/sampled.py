@@ -14,7 +14,6 @@ from io import BytesIO
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.evidence.marginal import Marginal, Tested
@@ -25,6 +24,7 @@ from cpam_bayes.inference.student_mixture import (
     Weighted,
     sobol_points,
 )
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parallel import Lasting, ProcessPool, lasting, run
 from cpam_bayes.running import single_blas_thread
 
@@ -143,8 +143,6 @@ class _Unpacker(pickle.Unpickler):
     def persistent_load(self, pid: int) -> Any:
         return self._held[pid]
 
-
-Array = NDArray[Any]
 
 # Models are projected once more, on modes at so many points of the proposal, log2, so that this fraction of
 # their frequencies has a relative error below the tolerance.

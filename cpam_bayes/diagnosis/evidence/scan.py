@@ -7,10 +7,8 @@ from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from cpam_bayes.diagnosis.cases import is_incomplete
@@ -48,9 +46,8 @@ from cpam_bayes.effects import ListChange
 from cpam_bayes.forward_model.composed import ComposedModel
 from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.running import cut_short, is_time_up, time_limit
-
-Array = NDArray[Any]
 
 # A hypothesis explains a list whose misfit is no larger with more than this probability.
 EXPLAINED = 1e-3

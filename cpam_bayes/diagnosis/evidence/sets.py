@@ -15,10 +15,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit, logsumexp
 
 from cpam_bayes.diagnosis.comparison import PlateCase, comparison_of, effect_columns
@@ -47,9 +46,8 @@ from cpam_bayes.diagnosis.hypotheses import (
 )
 from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.running import cut_short, is_time_up
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)

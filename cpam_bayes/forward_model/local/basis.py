@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.local.fields import PatchForm, field_parts
 from cpam_bayes.forward_model.local.model import Change, LocalModel, PointMass
@@ -18,13 +16,11 @@ from cpam_bayes.forward_model.reduced import compressed
 from cpam_bayes.mechanics.affine import AffineOperator, DenseBlock
 from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.loaded import LoadedBlock, symmetry_parts
-from cpam_bayes.mechanics.problem import MEMBRANE_FIELDS, Problem, rigid_body_count
+from cpam_bayes.mechanics.problem import MEMBRANE_FIELDS, Array, Problem, rigid_body_count
 from cpam_bayes.mechanics.ritz import RitzSettings, RitzSpace, evaluate_sector, ritz_space
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate.edges import FIELDS
 from cpam_bayes.running import single_blas_thread
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,11 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from cpam_bayes.effects import Effect, add_known_mass
 from cpam_bayes.forward_model.local.basis import patch_of, rows_at
@@ -32,10 +30,8 @@ from cpam_bayes.forward_model.reduced import by_field
 from cpam_bayes.mechanics.affine import AffineOperator, DenseBlock
 from cpam_bayes.mechanics.loaded import LoadedBlock, symmetry_parts
 from cpam_bayes.mechanics.modes import SUPPORTED_TOLERANCE
-from cpam_bayes.mechanics.problem import rigid_body_count
+from cpam_bayes.mechanics.problem import Array, rigid_body_count
 from cpam_bayes.plate import Sensor
-
-Array = NDArray[Any]
 
 # Modes kept beyond those predicted.
 _FURTHER = 16

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.local.fields import FieldPart, PointValues, values_at_points
 from cpam_bayes.forward_model.model import PlateModel, Prediction, biased
@@ -25,11 +24,9 @@ from cpam_bayes.mechanics.loaded import (
     lowest_modes,
     ritz_basis,
 )
-from cpam_bayes.mechanics.problem import Atom, Derivative, rigid_body_count
+from cpam_bayes.mechanics.problem import Array, Atom, Derivative, rigid_body_count
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate.edges import FIELDS
-
-Array = NDArray[Any]
 
 
 class Change(Protocol):

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.local.fields import (
     ATOMS,
@@ -28,13 +26,7 @@ from cpam_bayes.forward_model.local.model import (
 )
 from cpam_bayes.forward_model.model import PlateModel, Prediction
 from cpam_bayes.mechanics.loaded import columns_of, in_common_basis
-from cpam_bayes.mechanics.problem import (
-    LAMINATE_ENTRIES,
-    LAMINATE_FORMS,
-    rigid_body_count,
-)
-
-Array = NDArray[Any]
+from cpam_bayes.mechanics.problem import LAMINATE_ENTRIES, LAMINATE_FORMS, Array, rigid_body_count
 
 SOFTENED = np.flatnonzero(LAMINATE_ENTRIES.min(axis=0) >= BENT[0])
 _LEFT = np.array([ATOMS.index(LAMINATE_FORMS[q].left) for q in SOFTENED])
