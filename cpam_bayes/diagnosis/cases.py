@@ -15,12 +15,7 @@ import numpy as np
 
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis, prior_by_cause, single_hypotheses
-from cpam_bayes.diagnosis.models import (
-    PlateModels,
-    extended_model,
-    needs_another_space,
-    plate_models,
-)
+from cpam_bayes.diagnosis.models import PlateModels, extended_model, needs_another_space, plate_models
 from cpam_bayes.effects import CATALOGUE, Effect, extend
 from cpam_bayes.forward_model.build import without_matrices
 from cpam_bayes.forward_model.labels import by_shape, labelled_model, list_order, spare_modes

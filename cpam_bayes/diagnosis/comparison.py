@@ -74,10 +74,7 @@ class PlateCase:
 
 
 def comparison_of(
-    cases: Sequence[PlateCase],
-    hypotheses: Mapping[int, Hypothesis] | Hypothesis,
-    *,
-    scatter: float = SCATTER,
+    cases: Sequence[PlateCase], hypotheses: Mapping[int, Hypothesis] | Hypothesis, *, scatter: float = SCATTER
 ) -> LogDensity:
     """The plates' frequency lists against their models under a hypothesis for each plate.
 
@@ -141,11 +138,7 @@ class _Joint:
 
 
 def _part(
-    joint: _Joint,
-    case: PlateCase,
-    models: PlateModels,
-    hypothesis: Hypothesis | None,
-    shared: bool,
+    joint: _Joint, case: PlateCase, models: PlateModels, hypothesis: Hypothesis | None, shared: bool
 ) -> tuple[Part, Listed]:
     several = len({c.models.specimen.specimen for c in joint.cases}) > 1
     materials = {c.models.specimen.material.name for c in joint.cases}

@@ -10,14 +10,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from cpam_bayes.effects import (
-    CATALOGUE,
-    Effect,
-    ListChange,
-    PlateFacts,
-    applicable,
-    variants,
-)
+from cpam_bayes.effects import CATALOGUE, Effect, ListChange, PlateFacts, applicable, variants
 from cpam_bayes.effects.effect import GROSS_FRACTION, PERCENT, one_sided
 from cpam_bayes.parameters import Parameter
 

@@ -176,9 +176,7 @@ def reference_constants(specimen: Specimen) -> dict[str, float]:
 
 
 def plate_problem(
-    specimen: Specimen,
-    parameters: ParameterSet = NO_PARAMETERS,
-    shear: ShearModel = ENERGY_CONSISTENT,
+    specimen: Specimen, parameters: ParameterSet = NO_PARAMETERS, shear: ShearModel = ENERGY_CONSISTENT
 ) -> Problem:
     """The plate of a specimen as an eigenvalue problem in some of its constants, angles and sizes.
 

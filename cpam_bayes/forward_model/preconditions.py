@@ -96,10 +96,7 @@ def require_supported(
 
 def require_diagnosable(specimen: Specimen) -> Specimen:
     """Return the specimen, or raise `PlateFileError` if what is wrong with it cannot be asked for."""
-    problems = [
-        *_not_computed(specimen, rectangular_only("diagnose")),
-        *_unknown_angles(specimen),
-    ]
+    problems = [*_not_computed(specimen, rectangular_only("diagnose")), *_unknown_angles(specimen)]
     if specimen.measurement is None:
         problems.append("[measurement] is missing, nothing to be compared with the model")
     if not specimen.unknowns.size:

@@ -14,13 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 
-from cpam_bayes.forward_model.model import (
-    PlateModel,
-    Prediction,
-    model_on_basis,
-    spread_out,
-    training_sets,
-)
+from cpam_bayes.forward_model.model import PlateModel, Prediction, model_on_basis, spread_out, training_sets
 from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock, DenseOperator, RitzBlock
 from cpam_bayes.mechanics.loaded import unloaded
 from cpam_bayes.mechanics.modes import check_rigid

@@ -187,9 +187,7 @@ LIMIT: Final = 0.05
 
 
 def sandwich_error(
-    specimen: Specimen,
-    frequencies: ArrayLike,
-    constants: Mapping[str, ArrayLike] = MappingProxyType({}),
+    specimen: Specimen, frequencies: ArrayLike, constants: Mapping[str, ArrayLike] = MappingProxyType({})
 ) -> Array:
     """By how much first-order theory makes the bending frequencies of a sandwich too low, (n,), relative.
 

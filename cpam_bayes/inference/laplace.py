@@ -330,10 +330,7 @@ def gauss_newton_covariance(posterior: Posterior, x: Array) -> Array:
 
 
 def approximate(
-    posterior: Posterior,
-    optimum: Optimum,
-    hessian: Hessian = "exact",
-    degrees_of_freedom: float = np.inf,
+    posterior: Posterior, optimum: Optimum, hessian: Hessian = "exact", degrees_of_freedom: float = np.inf
 ) -> Approximation:
     """The Gaussian or Student-t approximation about one optimum, and its evidence.
 

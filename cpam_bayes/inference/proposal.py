@@ -16,14 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 
-from cpam_bayes.inference.derivatives import (
-    MAX_SCORE,
-    Expansion,
-    NormalScores,
-    apart,
-    coordinates,
-    distinct,
-)
+from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion, NormalScores, apart, coordinates, distinct
 from cpam_bayes.inference.laplace import Approximation, approximate, find_optima, maximise, promised_gain
 from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.inference.posterior import Posterior

@@ -202,11 +202,7 @@ def basis_notices(evidence: Evidence) -> tuple[Notice, ...]:
 
 
 def evidence_of(
-    posterior: Posterior,
-    result: EnsembleResult,
-    seed: int,
-    *,
-    settings: EvidenceSettings = _USUAL,
+    posterior: Posterior, result: EnsembleResult, seed: int, *, settings: EvidenceSettings = _USUAL
 ) -> Evidence:
     """The evidence of a posterior whose chains are there.
 

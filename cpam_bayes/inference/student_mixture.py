@@ -240,12 +240,7 @@ def _factor(scale: Array) -> Array:
 
 
 def log_box_mass(
-    centre: Array,
-    scale: Array,
-    lower: Array,
-    upper: Array,
-    nu: float = np.inf,
-    log2_points: int = 10,
+    centre: Array, scale: Array, lower: Array, upper: Array, nu: float = np.inf, log2_points: int = 10
 ) -> Array:
     """Log probability between bounds of m Gaussian or Student-t densities, (m,).
 

@@ -445,10 +445,7 @@ def material_swarm(
 
 
 def initial_swarm(
-    parameters: ParameterSet,
-    symmetry: MaterialSymmetry,
-    n: int,
-    rng: np.random.Generator,
+    parameters: ParameterSet, symmetry: MaterialSymmetry, n: int, rng: np.random.Generator
 ) -> FloatArray:
     """Draw the start positions of section 5.1 within the bounds.
 

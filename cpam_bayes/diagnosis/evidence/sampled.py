@@ -20,10 +20,7 @@ from cpam_bayes.diagnosis.evidence.marginal import Marginal, Tested
 from cpam_bayes.diagnosis.hypotheses import NONE
 from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.inference.proposal import Rounds, adaptive_importance, refitted_moments
-from cpam_bayes.inference.student_mixture import (
-    Weighted,
-    sobol_points,
-)
+from cpam_bayes.inference.student_mixture import Weighted, sobol_points
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parallel import Lasting, ProcessPool, lasting, run
 from cpam_bayes.running import single_blas_thread

@@ -430,9 +430,7 @@ class Scan:
         beside = {
             t.key: found
             for (_, t, _), found in zip(
-                items,
-                shared_out(Scan.leftovers, self.cases, items, self.executor, common=scan),
-                strict=True,
+                items, shared_out(Scan.leftovers, self.cases, items, self.executor, common=scan), strict=True
             )
             if found
         }

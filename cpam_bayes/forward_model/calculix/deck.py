@@ -405,13 +405,7 @@ def _heading(specimen: Specimen, element: Element) -> str:
     plate = specimen.plate
     about = f"Plate {specimen.name}, layup {plate.layup.text}, edges {plate.edges}"
     shown = "".join(c if c.isascii() and c.isprintable() else "?" for c in about)
-    return "\n".join(
-        [
-            "*HEADING",
-            shown[:78],
-            f"** {_TYPE[element]}; units N, m, kg, s; midplane at z = 0",
-        ]
-    )
+    return "\n".join(["*HEADING", shown[:78], f"** {_TYPE[element]}; units N, m, kg, s; midplane at z = 0"])
 
 
 def node_block(mesh: PlateMesh) -> str:
