@@ -1,8 +1,7 @@
 """Known errors of what a plate file states, and of the theory: what all frequencies of a list have in common.
 
-Sizes, mass and the scale of the analyser are not exact: a plate that is 1 % thicker than stated has higher
-frequencies, which stiffer constants repeat, and no fit can tell. What was weighed stays as weighed: a plate
-of other sizes has another density.
+What was weighed stays as weighed: a plate of other sizes has another density (docs/priors.md, Sizes and
+mass).
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""Identity of modes: by labels and by measured shapes, followed through the parameters.
+"""Identity of modes: by labels and by measured shapes at the reference constants (docs/mode_shapes.md).
 
-A label is that of a mode at one place, the reference constants. Elsewhere the mode is the one whose
-shape is most like it, by modal assurance, so that modes which change their order keep their labels. A
-measured shape says the same of the mode that it is most like at the reference constants.
+Elsewhere a mode is the one whose shape is most like it, by modal assurance, whatever its rank.
 """
 
 from __future__ import annotations
@@ -119,9 +117,8 @@ def pair_by_assurance(
     A measured shape is its mode's times a factor plus an error in each of d directions, of one unknown size
     that is usually sqrt(0.02) of the shape: a Student-t, with
     p(shape i | mode j) ~ (0.02 + 1 - MAC_ij)^(-d/2). d is one less than the effective number of shapes that
-    the nodes tell apart, (sum s^2)^2 / sum s^4 of the singular values s of the predicted shapes: errors of
-    a model or of a test are smooth over a plate, so that further nodes add little. A shape whose assurance
-    is below 0.3 with all modes is none of them.
+    the nodes tell apart, (sum s^2)^2 / sum s^4 of the singular values s of the predicted shapes. A shape
+    whose assurance is below 0.3 with all modes is none of them.
 
     predicted : (k, 3, n_nodes) u, v, w of the candidates at the nodes
     Raises ``AmbiguousShapesError`` where no few pairings hold the probability.
@@ -388,10 +385,7 @@ def labelled_model(model: ReducedModel, measurement: Measurement, specimen: Spec
 def paired_shapes(
     shapes: MeasuredShapes, predicted: Array, modes: tuple[Mode, ...], specimen: Specimen
 ) -> ShapePairing:
-    """The pairing of measured shapes with predicted ones (k, 3, n_nodes).
-
-    Raises ``LabelError`` where they are like no mode or do not tell modes apart.
-    """
+    """That of measured and predicted shapes (k, 3, n_nodes), or ``LabelError``: they tell no modes apart."""
     where = f"{specimen.source}: measurement.shapes"
     try:
         pairing = pair_by_assurance(shapes, predicted, modes)

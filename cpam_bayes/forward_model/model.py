@@ -124,10 +124,9 @@ def _about_reference(parameter: Parameter, specimen: Specimen, cut: float) -> Pr
 
 
 def size_parameters(specimen: Specimen) -> ParameterSet:
-    """Sizes, density and mass of a specimen that are known to a standard deviation, SI.
+    """Sizes, density and mass of a specimen that are known to a standard deviation, SI, with normal priors.
 
-    Each has a normal prior about the value of the plate file, cut at five standard deviations and at
-    a quarter and four times the value.
+    Cut at five standard deviations, and at a quarter and four times the value of the plate file.
     """
     plate = specimen.plate
     parameters = []
@@ -365,8 +364,7 @@ def biased(prediction: Prediction, bias: Bias) -> Prediction:
 def training_sets(problem: Problem, n: int, rng: np.random.Generator) -> Array:
     """Admissible parameter vectors that fill the prior box and its faces, (n, n_parameters).
 
-    Half are drawn from the prior, half with more weight on the bounds (a beta distribution with
-    both parameters 1/2), because an optimum often sits on one.
+    Half are drawn from the prior, half from Beta(1/2, 1/2), because an optimum often sits on a bound.
     """
     parameters = problem.parameters
     sets = np.empty((0, parameters.size))
@@ -386,8 +384,7 @@ _RELATED = 0.2
 def spread_out(problem: Problem, x: Array) -> Array:
     """Parameter vectors (m, n) spread where the prior box is narrow, so that coefficients show relations.
 
-    Over a side known to 0.1 % all its powers are one, to more digits than the softest mode of a thin clamped
-    plate leaves of the largest term.
+    Over a side known to 0.1 % all its powers are one to nearly all digits.
     """
     parameters = problem.parameters
     middle, half = 0.5 * (parameters.upper + parameters.lower), 0.5 * (parameters.upper - parameters.lower)
@@ -408,11 +405,10 @@ class Samples:
 def convergence_samples(specimen: Specimen, problem: Problem, centre: Array | None = None) -> Samples:
     """A centre, neighbours within 30 % of its constants, and sets all over the prior box.
 
-    centre : (n_parameters,), by default the reference constants. Far from it the space need only be
-    good enough to tell that the data lie elsewhere. The seed is fixed, so that a model does not
-    depend on the run that first needs it. Angles are drawn from their prior; where there are unknown
-    ones the centre is also taken with all of them at 0, at 90, at both and at 45 and -45 deg, which the
-    prior almost never gives and where free edges are hardest.
+    centre : (n_parameters,), by default the reference constants. Far from it the space need only be good
+    enough to tell that the data lie elsewhere. The seed is fixed, so that a model does not depend on the run
+    that first needs it. Unknown angles are also taken at 0, 90, both, and 45 and -45 deg, where free edges
+    are hardest.
     """
     parameters = problem.parameters
     if not parameters.size:
@@ -491,8 +487,7 @@ def model_on_basis(
 def discretisation_error(model: PlateModel, x: Array) -> Array:
     """Estimated relative error of the frequencies of a model at one parameter vector, (n_modes,).
 
-    The model's frequencies against those of a space converged at this very place, plus the error of
-    that space. It holds where the model was not converged for, at the end of a search for instance.
+    Against those of a space converged at this very place, plus the error of that space.
     """
     x = np.atleast_2d(x)
     problem = model.operator.problem

@@ -1,11 +1,4 @@
-"""Checks of a plate file against what can be computed or believed: refused, or warned of.
-
-A list that no constants within the bounds come near is refused before any work, with the likely cure.
-
-Slips in a plate file that ruin the answer, with the likely cure, each a sentence above the answer.
-
-What may be meant, but rarely is. Lists that no plate of the file can have are refused (`reachable`).
-"""
+"""Checks of a plate file against what can be computed or believed: refused, or warned of, with a cure."""
 
 from __future__ import annotations
 
@@ -44,7 +37,7 @@ SUSPICIOUS_RATIO = 3.0
 _THIN = 300.0
 
 # Prediction over measurement -> the slips that make it so. A frequency goes as h / sqrt(density) or, of a
-# plate that was weighed, as h sqrt(h / mass): what a wrong thickness does differs.
+# plate that was weighed, as h sqrt(h / mass).
 _CURES: Final = (
     (1000.0, "frequencies in kHz for Hz, or sizes in m for mm"),
     (31.6, "a mass in kg for g, a density in g/cm3 for kg/m3, or constants in MPa for GPa"),
@@ -184,8 +177,7 @@ def require_paired_list(specimen: Specimen) -> Specimen:
 def exchange_notices(specimen: Specimen) -> tuple[Notice, ...]:
     """A notice where no frequency tells the two axes of orthotropic plies apart.
 
-    Exchanging them turns every ply by 90 degrees: to other angles, where these are unknown, or to the same
-    plate, if it is square with four equal edges.
+    Their angles are unknown, or the plate is square with four equal edges.
     """
     plate, unknowns, measurement = specimen.plate, specimen.unknowns, specimen.measurement
     square = plate.length == plate.width and len(set(plate.edges)) == 1
@@ -242,10 +234,7 @@ def require_number(name: str, value: object, most: float) -> None:
 
 @contextmanager
 def explained_failures(specimen: Specimen) -> Iterator[None]:
-    """Say what a user can do where the solver cannot tell bending from rounding.
-
-    Raises ``PlateFileError`` instead of the solver's ``RigidBodyError``.
-    """
+    """A `PlateFileError` with what a user can do in place of the solver's ``RigidBodyError``."""
     try:
         yield
     except RigidBodyError as error:
@@ -348,10 +337,7 @@ def require_reachable(specimen: Specimen) -> Specimen:
 
 
 def _require_no_motion_of_the_support(specimen: Specimen, lowest: float) -> None:
-    """Raise `LowFrequencyError` if the first frequencies are far below any that bends the plate.
-
-    lowest : Hz, the first frequency with all moduli at their lower bounds
-    """
+    """Raise `LowFrequencyError` for ones far below the lowest, Hz, with all moduli at their lower bounds."""
     assert specimen.measurement is not None
     f = specimen.measurement.frequencies
     unknown = bool(specimen.plate.layup.n_unknown)
@@ -508,8 +494,7 @@ def common_factor_slips(
 ) -> tuple[Notice, ...]:
     """All moduli far on one side of their references: a wrong size, mass or frequency scale, most likely.
 
-    Of a thin plate f^2 is proportional to E h^2 / rho, or E h^3 / m: an error of h, rho or m is a common
-    factor of all moduli, which no frequency shows.
+    Of a thin plate f^2 is proportional to E h^2 / rho, or E h^3 / m.
 
     estimates : modulus that the frequencies determine -> its estimate and standard deviation, Pa, without its
     reference as prior

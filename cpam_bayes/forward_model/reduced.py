@@ -1,8 +1,7 @@
 """A reduced model of a plate: principal directions of the modes of a few full solves.
 
-Projection leaves the affine sum as it is, only smaller, so a stack of parameter sets is solved at once. The
-basis for the whole prior box is checked on fresh full solves and grows where it represents them badly. On the
-part of the box where a posterior lies fewer directions say as much.
+Projection leaves the affine sum as it is, only smaller, so a stack of parameter sets is solved at once. On
+the part of the prior box where a posterior lies fewer directions say as much.
 """
 
 from __future__ import annotations
@@ -101,10 +100,9 @@ def reduce(
 ) -> ReducedModel:
     """A reduced model that holds over the prior box of a converged plate.
 
-    A wide basis comes from full solves at ``settings.training`` sets, with many modes beyond those
-    predicted: what a change of the plate makes of a mode is a sum of others. It is checked at fresh sets.
-    On it many more sets are solved, and the principal directions of their modes are the basis. Each of
-    the two is made to the tolerance; what the basis errs in an answer is computed there (``basis_error``).
+    A wide basis comes from full solves at ``settings.training`` sets, with many modes beyond those predicted.
+    On it many more sets are solved, and the principal directions of their modes are the basis. Each is
+    checked at fresh sets; what the basis errs in an answer is computed there (``basis_error``).
     """
     problem, tolerance = model.operator.problem, settings.tolerance
     many = training_sets(problem, max(_RELATIONS, settings.training), rng)
@@ -177,9 +175,7 @@ def basis_error(model: ReducedModel, x: Array) -> Array:
 def compressed(operator: DenseOperator, stiffness: Array, mass: Array) -> DenseOperator:
     """The operator with as few terms as its coefficients have independent directions.
 
-    stiffness, mass : coefficients at many parameter sets (m, n_terms), which show the linear
-    relations between them. A fixed layup of orthotropic plies has six stiffness terms, a fixed
-    thickness and density one mass term.
+    stiffness, mass : coefficients at many parameter sets (m, n_terms), which show the relations between them
     """
     blocks = tuple(block.compressed(stiffness, mass) for block in operator.blocks)
     return AffineOperator(operator.problem, operator.space, blocks)
@@ -294,8 +290,7 @@ def _directions(
     """Every block on its rigid-body motions, counted, and the principal directions of its modes.
 
     Modes have the same energy; directions are principal in the energy of the first set, so that what is left
-    out of a mode is the error of its eigenvalue. Those with the largest part in all modes come first. One
-    after the other they are made orthonormal in the mass of that set.
+    out of a mode is the error of its eigenvalue. They are made orthonormal in the mass of that set.
     """
     projected = []
     shift = _SHIFT * known.ranked[0, known.n_rigid]

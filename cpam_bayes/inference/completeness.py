@@ -122,10 +122,9 @@ class _Selected:
 def alternative_pairing(posterior: Posterior, best: Array, others: Array) -> AlternativePairing | None:
     """The most probable single transcription error in a complete list, if it is far more probable than none.
 
-    Evidences by Laplace's method of the list paired one to one, with one mode of the model left out,
-    or with one frequency left out, at the prices of ``posterior.pairing``. More than 100 times as
-    probable counts as far. Labelled frequencies keep their modes. A list that ends too early cannot
-    be distinguished from a complete one.
+    Evidences by Laplace's method of the list paired one to one, with one mode of the model left out, or with
+    one frequency left out, at the prices of ``posterior.pairing``. More than 100 times as probable counts as
+    far. Labelled frequencies keep their modes.
 
     best : (n,) optimum of the posterior.
     others : (m, n_plate) further parameters to start from. The model must predict a mode more than there are

@@ -1,9 +1,8 @@
 """Ensemble sampling by emcee, started from the particle swarm: independent ensembles side by side, in rounds.
 
-After every round the chains are looked at: sampling ends when the ensembles agree (R-hat) and hold enough
-effective samples, or at a budget. Finished rounds are stored, each in a sealed file, which is whole under its
-own name at whatever moment a run was killed: the run goes on from its last one, bit for bit as if nothing had
-happened. A round that was damaged since is set aside and sampled again, the same bit for bit.
+Sampling ends when the ensembles agree (R-hat) and hold enough effective samples, or at a budget. A run that
+was killed goes on from its last stored round, bit for bit as if nothing had happened; a round that was
+damaged since is set aside and sampled again.
 """
 
 from __future__ import annotations
@@ -36,10 +35,8 @@ def integrated_times(chain: Array) -> Array:
     """Autocorrelation time of every parameter, (steps, walkers, n) -> (n,) steps.
 
     tau = 1 + 2 sum_k rho(k) up to the first lag that is at least five times tau (Sokal, 1996), with the
-    autocovariance averaged over the walkers (Goodman and Weare, 2010). Deviations are taken from the mean
-    of the whole ensemble. From each walker's own mean, as in emcee's estimate, rho(k) would come out low by
-    about tau / steps and tau by 2 window tau / steps: half of it is lost where a chain is ten times as
-    long.
+    autocovariance averaged over the walkers (Goodman and Weare, 2010). Deviations are taken from the mean of
+    the whole ensemble: from each walker's own, as in emcee, tau comes out low by 2 window tau / steps.
 
     nan where a walker does not move. Where no lag is long enough, the largest sum, which tau exceeds.
     """
@@ -227,10 +224,9 @@ def start_positions(
 ) -> Array:
     """Walker positions about the optima that a swarm found, (n, n_parameters).
 
-    The swarm's distinct personal bests, the best first, are carried to optima of the posterior. From
-    each optimum that is not hopeless walkers are drawn along the data's own covariance, as many as
-    its height and volume deserve: a collapsed swarm gives no degenerate ensemble. At bounds they are
-    reflected. Raises ``ValueError`` where no particle is in the support of the prior.
+    The swarm's distinct personal bests, the best first, are carried to optima of the posterior. From each
+    walkers are drawn along the data's own covariance, as many as its height and volume deserve, reflected at
+    bounds. Raises ``ValueError`` where no particle is in the support of the prior.
 
     swarm : (m, n_plate) personal bests.
     values : (m,) their misfits.
@@ -341,11 +337,9 @@ def sample(
     instance, ends the storing and not the sampling: the result says so. ``progress`` is told the diagnostics
     after each round.
 
-    Moves: differential evolution (ter Braak, 2006), nine in ten with the usual factor, one in ten
-    with factor 1, which jumps between separate optima. They mixed two to three times as well as the
-    stretch move on the posteriors of B1, C1, A1 and D3. Mixed with them, Metropolis-Hastings jumps to
-    independent draws of a proposal (Tierney, 1994), fixed before the chains begin: where it is good,
-    they forget at once where they were; where it is bad, the other moves are left.
+    Moves: differential evolution (ter Braak, 2006), nine in ten with the usual factor, one in ten with factor
+    1, which jumps between separate optima; mixed with them, Metropolis-Hastings jumps to independent draws of
+    a proposal (Tierney, 1994), fixed before the chains begin.
     """
     key = chain_hash(posterior, start, settings, seed, proposal)
     rounds = Rounds(store, key) if store is not None else None

@@ -1,8 +1,7 @@
 """Laplace's method: optima of a log density within bounds, and Student-t approximations about them.
 
-Optima are found by damped Gauss-Newton steps from a stack of starts. Where two modes cross, sorted
-frequencies have a kink: damped steps shrink there and look converged. Every optimum is therefore polled at
-points spread around it, and left if a better one is found.
+Where two modes cross, sorted frequencies have a kink: damped steps shrink there and look converged. Every
+optimum is therefore polled at points spread around it, and left if a better one is found.
 """
 
 from __future__ import annotations

@@ -209,7 +209,7 @@ class LogDensity:
         """Those of predictions f (m, n_f): f_listed ln(f_listed / f), Hz.
 
         An error that all frequencies have in common is then a factor of them, also where the model is far
-        off: in differences it would draw the list together, and the misfit with it.
+        off.
         """
         return log_residuals(self.listed.frequencies, f)
 

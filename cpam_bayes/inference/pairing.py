@@ -1,8 +1,7 @@
 """Pairings of measured frequencies with modes of the model.
 
-A complete list is paired one to one. Otherwise modes may be missing from the list and peaks may be
-spurious; every pairing that keeps the order is possible, each missed mode and each spurious peak at
-a price, and the likelihood is the sum over all of them.
+A complete list is paired one to one. Otherwise every pairing that keeps the order is possible, each missed
+mode and each spurious peak at a price, and the likelihood is the sum over all of them.
 """
 
 from __future__ import annotations

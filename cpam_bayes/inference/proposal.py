@@ -1,10 +1,8 @@
 """Proposals that cover a density: Student-t mixtures about its optima, refined where most of the mass lies.
 
 The mixture is one over normal scores, so that nothing is cut: a posterior that piles up on a bound becomes
-a peak with a light tail, which a Student-t covers. Laplace's approximation about an optimum, and nodes
-scattered over a prior, may miss a narrow bent ridge, along which the place of a mass and its size go
-together. After each round such a proposal gets Gaussians at the heaviest points so far, from the density's
-own gradient and curvature there.
+a peak with a light tail. Approximations about optima and nodes may miss a narrow bent ridge: after each round
+Gaussians join at the heaviest points so far, from the density's own gradient and curvature there.
 """
 
 from __future__ import annotations

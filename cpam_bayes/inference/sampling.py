@@ -206,8 +206,7 @@ def evidence_of(
 ) -> Evidence:
     """The evidence of a posterior whose chains are there.
 
-    The proposal is fitted to draws of the chains and to the optima next to their best draw and to draws
-    from the prior, so that an optimum that the chains have missed counts.
+    The proposal is fitted to the optima next to draws from the prior too: one that the chains missed counts.
     """
     best = result.draws[int(np.argmax(result.log_prob))]
     return importance_evidence(posterior, best[None], seed, chain=result.draws, settings=settings)
@@ -224,13 +223,10 @@ def importance_evidence(
 ) -> Evidence:
     """The evidence of a posterior by adaptive importance sampling.
 
-    Z = E_q[p / q], q a mixture of Student-t densities of 5 degrees of freedom over normal
-    scores. It begins as the Laplace approximations about the optima, and with the draws of a chain where
-    there are some; weighted draws refine it in rounds (population Monte Carlo: Cappe et al., 2008). The
-    estimate is made of fresh draws, for which q is fixed: its expectation is Z. If one draw carries more
-    than 0.5 % of the weight, or the tail of the weights is heavy, q has missed something that these
-    draws have found, and the estimate is made again from a q fitted to them. Raises ``ValueError`` where
-    nothing lies in the support of the prior.
+    Z = E_q[p / q], q a mixture of Student-t densities of 5 degrees of freedom over normal scores, as of
+    ``adapt``. The estimate is made of fresh draws, for which q is fixed: its expectation is Z. If one draw
+    carries more than 0.5 % of the weight, or the tail of the weights is heavy, it is made again from a q
+    fitted to these draws. Raises ``ValueError`` where nothing lies in the support of the prior.
 
     starts : (m, n) where optima are looked for, besides draws from the prior; may be empty.
     chain : (n_draws, n) draws of the posterior.

@@ -1,11 +1,8 @@
-"""All optima of a hypothesis over constants and sizes together, from many starts.
+"""All optima of a hypothesis over constants and sizes together, and at held sizes.
 
-The plain model's optimum is a good start for faint effects and a bad one for gross errors: plies turned by
-several degrees move the constants as far as the effect itself. Draws of the prior are therefore screened on
-the reduced model, the best of them optimised in rounds, fewer and further each time, together with what is
-known already (the plain model's optima, the reference).
-
-Where the data leave sizes open, optima of constants and noise at held sizes are centres of a proposal.
+The plain model's optimum is a good start for faint effects and a bad one for gross errors, which move the
+constants far. Draws of the prior are therefore screened, and the best of them optimised in rounds, fewer and
+further each time, together with what is known already.
 """
 
 from __future__ import annotations

@@ -1,12 +1,9 @@
 """The pairings of incomplete lists that carry probability, sought under the plain model.
 
-Every pairing is a hypothesis of its own about the list, and an evidence is the sum over them,
-sum_pi p(pi) Z(h, pi). Pairings are proposed by dynamic programming at draws of the prior and at optima, first
-with a large noise, so that what is wrong with the model is not taken for false peaks; with their neighbours
-they are fitted all at once. A missed mode moves all frequencies above it by several per cent, and the
-constants of the true pairing lie far from those of the wrong one: every pairing is fitted from several draws
-of the prior, one stack of solves serves all of them, and only those that explain the list nearly as well as
-the best go on.
+An evidence is the sum over all pairings, sum_pi p(pi) Z(h, pi). They are proposed by dynamic programming at
+draws of the prior and at optima, first with a large noise, so that what is wrong with the model is not taken
+for false peaks, and fitted with their neighbours. The constants of the true pairing lie far from those of a
+wrong one: each is fitted from several draws of the prior, and one stack of solves serves all of them.
 """
 
 from __future__ import annotations
@@ -244,8 +241,8 @@ def plain_pairings(
 ) -> tuple[tuple[PairedLists, ...], tuple[PairedLists, ...]]:
     """Pairings of incomplete lists that the plain model's evidence is over, and those that others begin with.
 
-    The latter are the best of the plain model and the best where its misfit is forgiven. Of several
-    incomplete lists the pairing of one at a time is varied, the others as they are most probable.
+    The latter are the best of the plain model and the best where its misfit is forgiven. Of several lists one
+    at a time is varied.
     """
     incomplete = [i for i, case in enumerate(cases) if is_incomplete(case)]
     at = PairedLists(tuple(cases))

@@ -1,10 +1,9 @@
 """The input deck of a plate in ABAQUS format, which ABAQUS and CalculiX both read, and the mesh in it.
 
-Units are N, m, kg and s. The plate lies in x and y, its midplane at z = 0. The mesh has 8-node shells, or
-20-node bricks in layers through the thickness. Both are regular grids of vertices and of the middles
-between two neighbouring vertices; a node stands where at most one of its indices is a middle. Edge elements
-are narrow: a free edge has a twisting boundary layer as wide as the thickness, and the stress at a clamped
-face is singular.
+Units are N, m, kg and s. The mesh has 8-node shells, or 20-node bricks in layers through the thickness:
+regular grids of vertices and of the middles between two neighbouring ones; a node stands where at most one of
+its indices is a middle. Edge elements are narrow: a free edge has a twisting boundary layer as wide as the
+thickness, and the stress at a clamped face is singular.
 """
 
 from __future__ import annotations

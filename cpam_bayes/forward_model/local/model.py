@@ -1,8 +1,7 @@
 """Frequencies of a plate with a local change anywhere: a small basis that fits each parameter set.
 
-Per parameter set the Ritz basis is that of the bare plate and the plate's static responses to loads
-where the change is, as of ``mechanics.loaded``. Both stand in one larger basis, common to all places, in
-which the bare plate is a few small blocks.
+Per parameter set it is modes of the bare plate and its static responses to loads where the change is, as of
+``mechanics.loaded``. Both stand in one larger basis, common to all places.
 """
 
 from __future__ import annotations
