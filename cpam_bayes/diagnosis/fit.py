@@ -1,7 +1,4 @@
-"""A fitted model, or a mixture of models, against the lists: whether it explains them, and what it is worth.
-
-The gain of a claimed cause is in residuals, in evidence, and in predictions of frequencies left out.
-"""
+"""A fitted model, or a mixture of models, against the lists: whether it explains them, and its worth."""
 
 from __future__ import annotations
 
@@ -43,10 +40,9 @@ def explains(tested: Tested) -> float:
         p = integral of P(chi2_nu >= T(a)) p(a) da,  nu = n - tr H,
 
     over the repeatability a: the one that is stated, or the prior of one that is inferred, not its posterior,
-    which any misfit widens until it is explained. H = A (A^T A + I)^-1 A^T projects on what the parameters
-    answer within their priors, A their derivatives over normal scores in units of the noise; the mean of T
-    over the prior predictive distribution is nu (Gelman et al., Bayesian Data Analysis, 3rd ed., 6.3, of the
-    check). The parameters are fitted again for every a.
+    which any misfit widens until it is explained (Gelman et al., Bayesian Data Analysis, 3rd ed., 6.3).
+    H = A (A^T A + I)^-1 A^T projects on what the parameters answer within their priors, A their derivatives
+    over normal scores in units of the noise. The parameters are fitted again for every a.
     """
     comparison = tested.marginal.comparison
     z = _starts(tested)
@@ -63,8 +59,7 @@ def explains(tested: Tested) -> float:
 def misfit_beyond_noise(tested: Tested) -> float:
     """Root mean square of what a hypothesis leaves of the lists beyond noise, relative.
 
-    Of its most probable parameters; a noise that is inferred counts with the median of its prior, and what
-    nothing explains does not count as noise.
+    A noise that is inferred counts with the median of its prior; what nothing explains is no noise.
     """
     comparison = tested.marginal.comparison
     z = tested.marginal.z[:1].copy()
@@ -89,8 +84,7 @@ def leftover_of(members: Sequence[tuple[Tested, float]]) -> tuple[float, float]:
 def within_stated_noise(tested: Tested, n_constants: int) -> bool:
     """Whether noise as stated explains what a hypothesis leaves of the lists, by `birge_ratio`.
 
-    Of its most probable parameters, over the frequencies whose noise is stated; the discrepancy of an error
-    outside the catalogue is no noise.
+    Over the frequencies whose noise is stated; a discrepancy is no noise.
     """
     marginal = tested.marginal
     listed = marginal.comparison.listed
@@ -431,8 +425,7 @@ def _reweighted(marginal: Marginal, about: LogDensity) -> Array:
 
     ln Z_-i = ln Z + ln E[1 / p(f_i | f_-i, x)] over the posterior of x (Gelfand, Dey and Chang, Bayesian
     Statistics 4, 1992). Not a number where the weights' tail is too heavy (Vehtari, Gelman and Gabry, Stat.
-    Comput. 27, 2017) or their error too large, unless those of the draws are hardly better: what a frequency
-    says alone is for a sample of its own.
+    Comput. 27, 2017) or their error too large, unless those of the draws are hardly better.
     """
     evidences = np.full(len(about.listed.frequencies), np.nan)
     if not marginal.is_sampled or not np.isfinite(marginal.k_hat):

@@ -267,8 +267,6 @@ def go_together(*causes: Hypothesis) -> bool:
     """Whether causes can act together: not what excludes each other, nor modes paired otherwise and misread.
 
     A second effect of a cause acts beside the first one, and a second misread frequency is the higher one.
-
-    Where the constants may be anything, what else may be wrong is for another diagnosis to say.
     """
     each = [h for cause in causes for h in cause.instances]
     if len({h.cause for h in each}) < len(each) or any(h.other_material for h in each):

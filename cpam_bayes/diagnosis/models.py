@@ -1,7 +1,4 @@
-"""The model of a hypothesis: frequencies of one or several plates with what each may have.
-
-Each plate has reduced models, bare and with its effects, over the priors of its constants.
-"""
+"""Reduced models of a plate, bare and with each effect that it may have, over the priors of its constants."""
 
 from __future__ import annotations
 
@@ -93,10 +90,9 @@ class PlateModels(ConvergedPlate):
 
 
 def diagnosis_parameters(specimen: Specimen, *, other_material: bool = False) -> ParameterSet:
-    """The unknown constants with the prior of all verbs, and the sizes of [plate.sd].
+    """The unknown constants with the prior of all verbs, cut at four standard deviations, and the sizes.
 
-    A stated reference is cut at four standard deviations. Where the material is another one, the constants
-    keep the prior of [unknowns]; a former posterior says nothing of it.
+    Where the material is another one, the constants keep the prior of [unknowns], without former posteriors.
     """
     unknowns = _of_other_material(specimen) if other_material else constant_parameters(specimen, _CUT)
     return unknowns.union(size_parameters(specimen))
@@ -216,8 +212,7 @@ def extended_model(
     """The reduced model of a plate with an effect, over the priors of both, without matrices of a full space.
 
     Where the effect changes the edges or couples bending with stretching the space is converged anew. An
-    effect at any place has one model for all places, forms that follow from the plate have one space and
-    basis. The matrices of ``plate`` are not used.
+    effect at any place has one model for all places, forms that follow from the plate have one basis.
     """
     if effect.on_plate is not None:
         return _form_model(plate, effect, notify)

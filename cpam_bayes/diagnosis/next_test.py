@@ -221,8 +221,7 @@ def _response(model: ComposedModel, drawn: _Drawn, weight: Array) -> Predicted:
     """Frequencies at all draws, from those at some where there are many.
 
     The relative scatter of the latter about the response is missing then. Log frequencies are taken as
-    quadratic in each of the logarithms of constants and sizes and of the effects' parameters: they are linear
-    in the logarithm of what scales all stiffnesses, even in a skew.
+    quadratic in each of the logarithms of constants and sizes and of the effects' parameters.
     """
     v, weight = drawn.v.copy(), weight / weight.sum()
     v[:, : drawn.n_plate] = np.log(v[:, : drawn.n_plate])

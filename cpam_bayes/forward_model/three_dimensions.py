@@ -118,12 +118,10 @@ def shear_frequency(specimen: Specimen, frequencies: ArrayLike) -> Array:
 def edge_layer(specimen: Specimen, axis: int) -> float:
     """Strain energy that a free edge across an axis (0: x, 1: y) releases, over that of bending along it.
 
-    A bending moment along the edge leaves stresses in the plies there whose resultants vanish but not
-    they themselves. Interlaminar shear takes them away over a width d: a d + b / d is least at
-    2 (a b)^1/2, with a the energy of those stresses and b that of the shear forces between plies that
-    balance them (Pipes and Pagano, Journal of Composite Materials 4, 1970, for a strip in tension). Here
-    (a b)^1/2 is given in units of the bending energy and of the thickness. It vanishes where all plies
-    are alike.
+    A bending moment along the edge leaves stresses in the plies there whose resultants vanish. Interlaminar
+    shear takes them away over a width d: a d + b / d is least at 2 (a b)^1/2, with a the energy of those
+    stresses and b that of the shear forces between plies that balance them (Pipes and Pagano, Journal of
+    Composite Materials 4, 1970). Here (a b)^1/2, in units of the bending energy and of the thickness.
     """
     plies = _moduli(reference_constants(specimen), specimen.plate.layup)
     ply = np.empty((len(plies.g13), 3, 3))

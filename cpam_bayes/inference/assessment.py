@@ -54,14 +54,8 @@ def weighted_jacobian(posterior: Posterior, x: Array, pairing: Pairing) -> Array
     assert prediction.jacobian is not None
     rows, columns = paired(pairing)
     sigma = posterior.noise(x[None], prediction.frequencies)[0, rows, columns]
-    weight = np.sqrt(information(posterior.degrees_of_freedom))
+    weight = np.sqrt(posterior.noise_model.information)
     return np.asarray(weight * prediction.jacobian[0, columns] / sigma[:, None] * prior_sd(posterior)[:n])
-
-
-def information(degrees_of_freedom: float) -> float:
-    """Fisher information of the location of a standardised residual."""
-    nu = degrees_of_freedom
-    return 1.0 if np.isinf(nu) else (nu + 1.0) / (nu + 3.0)
 
 
 def paired(pairing: Pairing) -> tuple[Array, Array]:
@@ -340,12 +334,12 @@ def leave_one_out(
     optimum : (n,).
     """
     rows, columns = paired(pairing)
-    nu = posterior.degrees_of_freedom
+    nu, information = posterior.degrees_of_freedom, posterior.noise_model.information
     measured = posterior.measurement.frequencies[rows]
-    wider = 1.0 if np.isinf(nu) else nu / (nu - 2.0) * information(nu)
+    wider = 1.0 if np.isinf(nu) else nu / (nu - 2.0) * information
     predicted = frequencies[:, columns]
     squared = np.mean(posterior.noise(draws, frequencies)[:, rows, columns] ** 2, axis=0)
-    squared /= information(nu)
+    squared /= information
     leverage = predicted.var(axis=0) / squared
     if np.all(leverage <= MOST_LEVERAGE):
         return cavity(measured - predicted.mean(axis=0), leverage, squared, "draws", wider)
@@ -353,7 +347,7 @@ def leave_one_out(
     hessian = jacobian.T @ jacobian + posterior.model.parameters.precision
     leverage = np.einsum("ij,ji->i", jacobian, np.linalg.solve(hessian, jacobian.T))
     there = posterior.predict(optimum[None])
-    squared = posterior.noise(optimum[None], there)[0, rows, columns] ** 2 / information(nu)
+    squared = posterior.noise(optimum[None], there)[0, rows, columns] ** 2 / information
     return cavity(measured - there[0, columns], leverage, squared, "optimum", wider)
 
 

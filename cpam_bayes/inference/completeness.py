@@ -92,14 +92,6 @@ class _Pairing:
 
 
 @dataclass(frozen=True, slots=True)
-class _Places:
-    """Parameters of the plate (m, n_plate) to start from; the first ``always`` are for every pairing."""
-
-    x: Array
-    always: int
-
-
-@dataclass(frozen=True, slots=True)
 class _Selected:
     """Some modes of a model."""
 
@@ -133,11 +125,11 @@ def alternative_pairing(posterior: Posterior, best: Array, others: Array) -> Alt
     n_plate = posterior.model.parameters.size
     draws = posterior.model.parameters.sample(np.random.default_rng(0), _DRAWS)
     draws = draws[posterior.model.admissible(draws)]
-    places = _Places(np.concatenate((best[None, :n_plate], others, draws)), 1 + len(others))
-    predicted = posterior.predict(places.x)
+    x = np.concatenate((best[None, :n_plate], others, draws))
+    predicted, always = posterior.predict(x), 1 + len(others)
     none, *alternatives = _pairings(posterior, predicted.shape[1])
-    reference = _evidence(posterior, none, places, predicted)[0]
-    candidates = [(*_evidence(posterior, pairing, places, predicted), pairing) for pairing in alternatives]
+    reference = _evidence(posterior, none, x, always, predicted)[0]
+    candidates = [(*_evidence(posterior, pairing, x, always, predicted), pairing) for pairing in alternatives]
     if not candidates:
         return None
     log_evidence, x, pairing = max(candidates, key=lambda f: f[0])
@@ -174,15 +166,18 @@ def _pairings(posterior: Posterior, n_modes: int) -> Iterator[_Pairing]:
 
 
 def _evidence(
-    posterior: Posterior, pairing: _Pairing, places: _Places, predicted: Array
+    posterior: Posterior, pairing: _Pairing, x: Array, always: int, predicted: Array
 ) -> tuple[float, Array]:
-    """Log evidence of a pairing with its price, and its optimum (n,)."""
+    """Log evidence of a pairing with its price, and its optimum (n,).
+
+    x : (m, n_plate) parameters of the plate to start from, the first ``always`` for every pairing
+    """
     paired = _paired(posterior, pairing)
     residuals = predicted[:, pairing.columns] - paired.measurement.frequencies
     misfit = np.sum((residuals / paired.measurement.frequencies) ** 2, axis=1)
     nearest = np.argsort(misfit, kind="stable")[:_STARTS]
-    chosen = np.union1d(np.arange(places.always), nearest)
-    starts = places.x[chosen]
+    chosen = np.union1d(np.arange(always), nearest)
+    starts = x[chosen]
     if paired.noise_is_inferred:
         noise = [paired.noise_model.suggested(residuals[i]) for i in chosen]
         starts = np.column_stack((starts, noise))

@@ -19,9 +19,9 @@ from cpam_bayes.inference.derivatives import (
     Coordinates,
     Expansion,
     coordinates,
+    expand_likelihood,
     expand_u,
     hessian_u,
-    information,
     log_density,
     prior_sd,
 )
@@ -321,11 +321,11 @@ def gauss_newton_covariance(posterior: Posterior, x: Array) -> Array:
     """(F + P^-1)^-1 at x (n,), F the information of the data, P the covariance of the priors, (n, n).
 
     A direction which the data leave open keeps its prior's width.
-    F is J^T S^-1 J for Gaussian noise that is known, see ``expansion.information``.
+    F is J^T S^-1 J for Gaussian noise that is known, see ``expand``.
     """
     by_sd = 1.0 / prior_sd(posterior)
     of_prior = by_sd[:, None] * posterior.parameters.precision * by_sd
-    return np.asarray(np.linalg.inv(information(posterior, x[None])[0] + of_prior))
+    return np.asarray(np.linalg.inv(expand_likelihood(posterior, x[None]).curvature[0] + of_prior))
 
 
 def approximate(

@@ -133,47 +133,46 @@ def labelled_log_likelihood(
     log_density: Array,
     in_range: Array,
     measured_range: float,
-    labelled: Array,
+    known: Array,
     prior: PairingPrior = DEFAULT_PAIRING,
 ) -> Array:
     """Log of the sum over all pairings that give frequencies with a known mode that mode, (m,).
 
-    A frequency marked in ``labelled`` (n,) bool is the mode of its own number and is neither spurious
-    nor another; the other frequencies are paired with the other modes as in
-    ``monotone_log_likelihood``, whatever the order of the labelled ones.
+    The other frequencies are paired with the other modes as in ``monotone_log_likelihood``, whatever the
+    order of the known ones.
+
+    known : (n,) mode of each frequency, -1 where it is not known
     """
-    if not labelled.any():
+    if np.all(known < 0):
         return monotone_log_likelihood(log_density, in_range, measured_range, prior)
-    known = np.flatnonzero(labelled)
-    rows, columns = _others(log_density, labelled)
+    fixed = np.flatnonzero(known >= 0)
+    rows, columns = _others(log_density, known)
     others = monotone_log_likelihood(
         log_density[:, rows][:, :, columns], in_range[:, columns], measured_range, prior.among(rows)
     )
-    return np.asarray(others + np.sum(np.log1p(-prior.missed) + log_density[:, known, known], axis=1))
+    return np.asarray(others + np.sum(np.log1p(-prior.missed) + log_density[:, fixed, known[fixed]], axis=1))
 
 
 def most_probable_labelled_pairing(
     log_density: Array,
     in_range: Array,
     measured_range: float,
-    labelled: Array,
+    known: Array,
     prior: PairingPrior = DEFAULT_PAIRING,
 ) -> Pairing:
-    """The most probable pairing of one parameter set that respects labels (log_density (n, k))."""
-    rows, columns = _others(log_density, labelled)
+    """The most probable pairing of one parameter set that respects known modes (log_density (n, k))."""
+    rows, columns = _others(log_density, known)
     others = most_probable_pairing(
         log_density[rows][:, columns], in_range[columns], measured_range, prior.among(rows)
     )
-    mode = np.arange(len(log_density))
+    mode = np.array(known)
     mode[rows] = np.where(others.mode >= 0, columns[others.mode], -1)
     return Pairing(mode, columns[others.missed], others.log_probability)
 
 
-def _others(log_density: Array, labelled: Array) -> tuple[Array, Array]:
-    """Frequencies without a known mode, and modes that no labelled frequency has."""
-    known = np.flatnonzero(labelled)
-    n, k = log_density.shape[-2:]
-    return np.setdiff1d(np.arange(n), known), np.setdiff1d(np.arange(k), known)
+def _others(log_density: Array, known: Array) -> tuple[Array, Array]:
+    """Frequencies without a known mode, and modes that none is known to have."""
+    return np.flatnonzero(known < 0), np.setdiff1d(np.arange(log_density.shape[-1]), known)
 
 
 class _Prices:

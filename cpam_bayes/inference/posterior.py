@@ -76,6 +76,12 @@ class NoiseModel:
         """The amplitude as a parameter, ``None`` where it is given."""
         return self.amplitude if isinstance(self.amplitude, Parameter) else None
 
+    @property
+    def information(self) -> float:
+        """Fisher information of the location of a standardised residual."""
+        nu = self.degrees_of_freedom
+        return 1.0 if np.isinf(nu) else (nu + 1.0) / (nu + 3.0)
+
     def sd(self, amplitude: Array, predicted: Array) -> Array:
         """sigma for amplitudes (m,) and predicted frequencies (m, n_modes), (m, n, n_modes) Hz."""
         variance = (amplitude[:, None] * self.scale) ** 2 + self.rounding
@@ -247,7 +253,12 @@ class Posterior:
         if self.measurement.complete:
             i = np.arange(self.measurement.size)
             return np.asarray(density[:, i, i].sum(axis=1))
-        return labelled_log_likelihood(density, in_range, self.span, self.labelled, self.pairing)
+        return labelled_log_likelihood(density, in_range, self.span, self._known, self.pairing)
+
+    @property
+    def _known(self) -> Array:
+        """The mode of each labelled frequency, -1 for the others, (n_f,)."""
+        return np.where(self.labelled, np.arange(len(self.labelled)), -1)
 
     def log_density(self, predicted: Array, sigma: Array) -> Array:
         """Log density of every measured frequency about every predicted one, (m, n_f, n_modes)."""
@@ -272,7 +283,7 @@ class Posterior:
         if measurement.complete:
             return Pairing(places[: measurement.size], np.empty(0, dtype=int), log_probability)
         pairing = most_probable_labelled_pairing(
-            density[0][:, places], in_range[0, places], self.span, self.labelled, self.pairing
+            density[0][:, places], in_range[0, places], self.span, self._known, self.pairing
         )
         mode = np.where(pairing.mode >= 0, places[pairing.mode], -1)
         return Pairing(mode, np.sort(places[pairing.missed]), pairing.log_probability + log_probability)

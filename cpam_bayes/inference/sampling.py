@@ -233,11 +233,10 @@ def importance_evidence(
     """
     rng = np.random.default_rng([seed, 4])
     state = adapt(posterior, starts, rng, settings.adaptation, chain)
-    scores, history = state.scores, state.history
     for attempt in range(settings.attempts):
         draw_round(state, settings.draws, rng)
-        log_weight = history.targets[-1] - log_mixture(state.proposal, history.points[-1])
-        evidence = _summarised(scores, history.points[-1], log_weight, sum(map(len, history.points)))
+        log_weight = state.targets[-1] - log_mixture(state.proposal, state.points[-1])
+        evidence = _summarised(state.scores, state.points[-1], log_weight, sum(map(len, state.points)))
         missed = np.exp(evidence.log_weights.max()) > _OUTSTANDING_WEIGHT
         if (evidence.status == "reliable" and not missed) or attempt == settings.attempts - 1:
             break

@@ -21,22 +21,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, Literal, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Hybrid, Material, joined_name, split_name
 from cpam_bayes.plate.laminate import MaterialSymmetry
 from cpam_bayes.running import cut_short, is_time_up
 
-FloatArray: TypeAlias = NDArray[np.float64]
-BoolArray: TypeAlias = NDArray[np.bool_]
-IndexArray: TypeAlias = NDArray[np.int64]
-Objective: TypeAlias = Callable[[FloatArray], FloatArray]
-SequenceObjective: TypeAlias = Callable[[FloatArray, IndexArray], FloatArray]
-Feasible: TypeAlias = Callable[[FloatArray], BoolArray]
+Objective: TypeAlias = Callable[[Array], Array]
+SequenceObjective: TypeAlias = Callable[[Array, Array], Array]
+Feasible: TypeAlias = Callable[[Array], Array]
 Status: TypeAlias = Literal["converged", "budget"]
 
 TEXTS: Final[Mapping[str, str]] = {
@@ -115,7 +112,7 @@ def _require(name: str, value: float, accepted: bool, rule: str) -> None:
         raise ValueError(TEXTS["setting"].format(name=name, value=value, rule=rule))
 
 
-def decode(memberships: FloatArray) -> IndexArray:
+def decode(memberships: Array) -> Array:
     """Sequences of fuzzy matrices: of each ply the angle of the largest membership.
 
     memberships : (..., n_plies, n_angles) -> (..., n_plies) grid indices.
@@ -123,7 +120,7 @@ def decode(memberships: FloatArray) -> IndexArray:
     return np.asarray(np.argmax(memberships, axis=-1), dtype=np.int64)
 
 
-def normalised(memberships: FloatArray, rng: np.random.Generator) -> FloatArray:
+def normalised(memberships: Array, rng: np.random.Generator) -> Array:
     """Memberships made lawful as section 3 says: none negative, those of one ply summing to 1.
 
     A ply without any positive membership gets uniform random ones, see the module's text.
@@ -166,8 +163,8 @@ class SwarmProblem:
 
     objective: SequenceObjective
     feasible: Feasible
-    lower: FloatArray
-    upper: FloatArray
+    lower: Array
+    upper: Array
     n_plies: int = 0
     n_angles: int = 0
 
@@ -184,13 +181,13 @@ class SwarmState:
     evaluations : particles sent to the objective until now.
     """
 
-    positions: FloatArray
-    velocities: FloatArray
-    memberships: FloatArray
-    drifts: FloatArray
-    personal_bests: FloatArray
-    best_memberships: FloatArray
-    personal_values: FloatArray
+    positions: Array
+    velocities: Array
+    memberships: Array
+    drifts: Array
+    personal_bests: Array
+    best_memberships: Array
+    personal_values: Array
     history: tuple[float, ...]
     evaluations: int
 
@@ -213,21 +210,19 @@ class SwarmResult:
     message : the status in words.
     """
 
-    best: FloatArray = field(repr=False)
-    sequence: IndexArray
+    best: Array = field(repr=False)
+    sequence: Array
     value: float
-    personal_bests: FloatArray = field(repr=False)
-    personal_values: FloatArray = field(repr=False)
+    personal_bests: Array = field(repr=False)
+    personal_values: Array = field(repr=False)
     iterations: int
     evaluations: int
     status: Status
-    history: FloatArray = field(repr=False)
+    history: Array = field(repr=False)
     message: str
 
 
-def confine(
-    positions: FloatArray, velocities: FloatArray, lower: FloatArray, upper: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def confine(positions: Array, velocities: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
     """Put particles that left the box back on its bounds and turn them round.
 
     The position goes to the bound that was crossed, the velocity of that component changes sign
@@ -241,7 +236,7 @@ def confine(
     return inside, np.where(inside != positions, _BOUNCE * velocities, velocities)
 
 
-def start_swarm(problem: SwarmProblem, start: FloatArray, rng: np.random.Generator) -> SwarmState:
+def start_swarm(problem: SwarmProblem, start: Array, rng: np.random.Generator) -> SwarmState:
     """Evaluate start constants beside uniformly drawn memberships, all at rest.
 
     start : (particles, n_constants), inside the bounds, for instance of ``initial_swarm``.
@@ -279,7 +274,7 @@ def step_swarm(
     R2 of the memberships.
     """
 
-    def moved(x: FloatArray, v: FloatArray, best: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def moved(x: Array, v: Array, best: Array) -> tuple[Array, Array]:
         r1, r2 = rng.random(x.shape), rng.random(x.shape)
         v = settings.inertia * v + settings.c1 * r1 * (best - x) + settings.c2 * r2 * (best[state.leader] - x)
         return x + v, v
@@ -336,7 +331,7 @@ def stop_reason(problem: SwarmProblem, state: SwarmState, settings: SwarmSetting
 
 def minimise_problem(
     problem: SwarmProblem,
-    start: FloatArray,
+    start: Array,
     settings: SwarmSettings,
     rng: np.random.Generator,
     *,
@@ -402,9 +397,7 @@ def _result(problem: SwarmProblem, state: SwarmState, settings: SwarmSettings, s
     )
 
 
-def _evaluate(
-    problem: SwarmProblem, positions: FloatArray, memberships: FloatArray
-) -> tuple[FloatArray, int]:
+def _evaluate(problem: SwarmProblem, positions: Array, memberships: Array) -> tuple[Array, int]:
     """The values, infinite where infeasible or not finite, and the number of solves."""
     n = len(positions)
     allowed = np.asarray(problem.feasible(positions), dtype=np.bool_)
@@ -417,7 +410,7 @@ def _evaluate(
     return values, solves
 
 
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+def _read_only(array: Array) -> Array:
     copy = array.copy()
     copy.flags.writeable = False
     return copy
@@ -425,7 +418,7 @@ def _read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 def material_swarm(
     material: Material | Hybrid, unknowns: ParameterSet, n: int, rng: np.random.Generator
-) -> FloatArray:
+) -> Array:
     """Draw the start positions of the unknown constants of a plate, `initial_swarm` for each material.
 
     Constants that are not among the unknowns have their reference value.
@@ -434,7 +427,7 @@ def material_swarm(
 
     Raises ``ValueError`` if the bounds leave no room for the constraints.
     """
-    drawn: dict[str, FloatArray] = {}
+    drawn: dict[str, Array] = {}
     for name, part in material.parts.items():
         of_part = tuple(p for p in unknowns.parameters if split_name(p.name)[0] == name)
         plain = ParameterSet(tuple(replace(p, name=split_name(p.name)[1]) for p in of_part))
@@ -446,7 +439,7 @@ def material_swarm(
 
 def initial_swarm(
     parameters: ParameterSet, symmetry: MaterialSymmetry, n: int, rng: np.random.Generator
-) -> FloatArray:
+) -> Array:
     """Draw the start positions of section 5.1 within the bounds.
 
     E2 is uniform in its bounds, E1 uniform between E2 and its upper bound, nu12 uniform in
@@ -487,9 +480,9 @@ def initial_swarm(
 
 def minimise(
     objective: Objective,
-    lower: FloatArray,
-    upper: FloatArray,
-    start: FloatArray,
+    lower: Array,
+    upper: Array,
+    start: Array,
     settings: SwarmSettings,
     rng: np.random.Generator,
     *,
@@ -503,7 +496,7 @@ def minimise(
     lower, upper : (n_constants,).
     """
 
-    def without_sequence(constants: FloatArray, sequences: IndexArray) -> FloatArray:
+    def without_sequence(constants: Array, sequences: Array) -> Array:
         return objective(constants)
 
     lower, upper = (np.asarray(bound, dtype=np.float64) for bound in (lower, upper))
@@ -512,9 +505,7 @@ def minimise(
     )
 
 
-def _draw(
-    name: str, low: FloatArray | float, high: FloatArray | float, n: int, rng: np.random.Generator
-) -> FloatArray:
+def _draw(name: str, low: Array | float, high: Array | float, n: int, rng: np.random.Generator) -> Array:
     """Draw n values uniformly between two limits, each a number or one for every particle."""
     low, high = np.broadcast_to(low, n), np.broadcast_to(high, n)
     empty = ~(low <= high)

@@ -493,9 +493,8 @@ def detectable(
     """The smallest detectable size of every single cause that was tested, in the order of their probability.
 
     The lists are simulated at the plain model's optimum with a cause of some size and noise as stated, or
-    from the posterior of the repeatability; a claim is made as for the lists themselves, by the evidences of
-    all causes (`linear_oracle`). Sizes share the draws of the noise. Incomplete lists are paired as is most
-    probable under the plain model.
+    from the posterior of the repeatability; a claim is made as for the lists themselves (`linear_oracle`).
+    Incomplete lists are paired as is most probable under the plain model.
 
     cases, executor : the plates, and where the causes are worked on
     """

@@ -41,9 +41,8 @@ def shared_out(
 ) -> list[Answer]:
     """``work(*item)`` of every item, in the order of the items, the same bit for bit on any executor.
 
-    Items and answers may hold the models of the plates: a worker is sent these once and puts its copies in
-    their place, and in the answers the models of this process come back. Where something cannot be sent, an
-    effect of a script for instance, this process does the work itself.
+    Items and answers may hold the models of the plates: a worker is sent these once, and in the answers those
+    of this process come back. Where something cannot be sent, this process does the work itself.
 
     work : a function of a module or of a class
     common : what all items hold beside the models, sent once

@@ -127,8 +127,7 @@ def fitted(
 def plain_starts(comparison: LogDensity, none: Marginal | None) -> Array:
     """Scores (s, n) of the plain model's optima and of the prior medians, zero for what it lacks.
 
-    Sizes that can only add begin from hardly anything too: where the median is a gross error, optimisations
-    from there are given up long before they are back at the plain model.
+    Sizes that can only add begin from hardly anything too: their medians may be gross errors.
     """
     medians = np.zeros((1, comparison.parameters.size))
     if none is None:
@@ -237,8 +236,7 @@ class Scan:
     def test(self, trials: Sequence[Trial], progress: Callable[[int], None] = lambda done: None) -> None:
         """Fit hypotheses from many starts, round by round; those that cannot be tested are noted.
 
-        Where the plain model explains the lists, what is wrong is faint and lies next to it. What is hopeless
-        is known from the rounds before, so that the answer does not depend on who is first.
+        What is hopeless is known from the rounds before: the answer does not depend on who is first.
 
         progress : is told the number of trials that are done
         """
@@ -409,11 +407,7 @@ class Scan:
             self.tested.append(replace(t, shift=self.shift_of(hypothesis, t)))
 
     def test_leftovers(self) -> None:
-        """Fit the best variants of leading causes that leave a misfit, with what nothing explains beside.
-
-        Where the plain model explains the lists there is nothing to be left over, and nothing is where
-        everything has a cause.
-        """
+        """Fit the best variants of leading causes that leave a misfit, with what nothing explains beside."""
         if self.is_explained:
             return
         leading = best_by_cause(ranked(self.tested))

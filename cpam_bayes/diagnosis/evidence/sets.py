@@ -449,8 +449,7 @@ def _linear(marginal: Marginal) -> list[_Linear]:
 def _shifts(scan: Scan, point: _Point, t: Tested) -> _Shifts | None:
     """The shifts of a cause that can act beside the leader of a point.
 
-    ``None`` where it is about the list and has no size, where modes are paired otherwise, and where the plate
-    buckles or breaks the constraints (9) with any size.
+    ``None`` where it has none, where modes are paired otherwise, and where no size keeps the plate sound.
     """
     hypothesis, sizes = t.hypothesis, t.marginal.sizes
     if not hypothesis.effects and not sizes:

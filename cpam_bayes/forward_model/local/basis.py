@@ -76,8 +76,8 @@ def point_mass_model(plate: PlateModel, samples: Array, added: ParameterSet) -> 
     trained, rng = _training(plate, samples, how)
     space, parts = trained.plain.operator.space, trained.block.parts
     rows = rows_at(space, parts, _training_places(rng, how.places))
-    # what a mass in rows of the fields adds: its translation, and its rotation about the midplane, of which a
-    # part is enough: what the basis lacks of it is as if the radius of gyration, which is open, were less
+    # its translation, and its rotation about the midplane, of which a part is enough: what the basis lacks of
+    # it is as if the radius of gyration, which is open, were less
     arm = np.hypot(
         float(np.real(plate.operator.problem.nominal.thickness)) / 2,
         _ROTATION * added.parameters[3].prior.mean,
