@@ -228,14 +228,11 @@ def _wanted(
                 key = (i, effect.name, effect.variant)
                 known = key in wanted or key[1:] in case.extended or effect.change is None
                 if not known and _can_be_sent(effect):
-                    wanted[key] = (1 - int(_is_converged_anew(models, effect)), i, effect)
+                    is_converged_anew = not effect.is_anywhere and needs_another_space(
+                        extend(models.problem, effect, models.facts), effect, models
+                    )
+                    wanted[key] = (1 - int(is_converged_anew), i, effect)
     return [(i, effect) for _, i, effect in sorted(wanted.values(), key=lambda entry: entry[0])]
-
-
-def _is_converged_anew(models: PlateModels, effect: Effect) -> bool:
-    if effect.is_anywhere:
-        return False
-    return needs_another_space(extend(models.problem, effect, models.facts), effect, models)
 
 
 def _can_be_sent(effect: Effect) -> bool:

@@ -424,49 +424,31 @@ _ROUGH = 0.3
 
 def diagnosis_notices(d: Diagnosis) -> tuple[Notice, ...]:
     """Every reason not to trust a diagnosis as it stands."""
-    material = d.cases[0].models.specimen.material
+    return tuple(_notices(d))
+
+
+def _notices(d: Diagnosis) -> Iterator[Notice]:
     fit = d.baseline if d.extended is None else d.extended
-    draws = dict(zip(fit.constants, fit.draws.T, strict=True))
-    unknowns = _unknowns(d) & set(d.baseline.constants)
-    return (
-        *count_notices(len(d.baseline.measured), len(unknowns)),
-        *_of_residuals(d),
-        *cut_notices(material, draws),
-        *_of_leaving_out(d),
-        *([_of_optima(d)] if d.optima else []),
-        *each_once(n for case in d.cases for n in shape_notices(case.by_shape, case.measurement, "best")),
-        *_of_priors(d),
-        *_of_evidences(d),
-    )
-
-
-def _of_residuals(d: Diagnosis) -> Iterator[Notice]:
+    unknowns = {name for case in d.cases for name in case.models.specimen.unknowns.names}
+    yield from count_notices(len(d.baseline.measured), len(unknowns & set(d.baseline.constants)))
     if d.claim.kind == NONE and d.baseline.predictive_p < _P_LOW:
         inferred = d.weighed.none.marginal.comparison.noise is not None
         yield Notice("unexplained_by_none", facts={"p": d.baseline.predictive_p, "inferred": inferred})
     if d.extended is not None and d.extended.predictive_p < _P_LOW:
         yield Notice("unexplained_by_claim", facts={"p": d.extended.predictive_p})
-
-
-def _of_leaving_out(d: Diagnosis) -> Iterator[Notice]:
+    draws = dict(zip(fit.constants, fit.draws.T, strict=True))
+    yield from cut_notices(d.cases[0].models.specimen.material, draws)
     if d.gain is not None and d.gain.stable < _STABLE:
         yield Notice("single_frequencies", facts={"stable": d.gain.stable})
-
-
-def _of_priors(d: Diagnosis) -> Iterator[Notice]:
+    if d.optima:
+        yield _of_optima(d)
+    yield from each_once(n for c in d.cases for n in shape_notices(c.by_shape, c.measurement, "best"))
     names = differing_priors(d.cases)
     if names:
         yield Notice("differing_priors", facts={"names": names, "taken": d.cases[0].name})
-
-
-def _of_evidences(d: Diagnosis) -> Iterator[Notice]:
     rough = max((t.marginal.error for t in d.weighed.tested if np.isfinite(t.marginal.error)), default=0.0)
     if rough > _ROUGH:
         yield Notice("rough_evidences", facts={"error": float(rough)})
-
-
-def _unknowns(d: Diagnosis) -> set[str]:
-    return {name for case in d.cases for name in case.models.specimen.unknowns.names}
 
 
 def _of_optima(d: Diagnosis) -> Notice:

@@ -338,13 +338,12 @@ def claim_of(
     explains : whether the model extended by a set explains the lists, or most of their misfit
     is_cut_short : whether hypotheses are missing: then nothing is claimed
 
-    Nothing is wrong where none has half the probability. A cause acts with its inclusion probability, that of
-    all sets that hold it. Causes that act with 0.9 each, in one set, are claimed together. Else the fewest
-    causes are claimed of which one acts with 0.9: one is named, up to six are a class, whether or not they
-    look alike. The best set with one of these is 3 nats above every set without: a cause that is not so far
-    behind joins the class, and where none or other is not, nothing is claimed. No cause is claimed whose
-    extended model leaves a misfit that is no noise: where those that explain nothing hold 0.9 with other, it
-    is other. The rest is undecided.
+    Nothing is wrong where none has half the probability. Causes that act with 0.9 each, over all sets that
+    hold them, are claimed together. Else the fewest causes are claimed of which one acts with 0.9: one is
+    named, up to six are a class. The best set with one of these is 3 nats above every set without: a cause
+    that is not so far behind joins the class, and where none or other is not, nothing is claimed. No cause is
+    claimed whose extended model leaves a misfit that is no noise: where those that explain nothing hold 0.9
+    with other, it is other. The rest is undecided (docs/model_errors.md).
     """
     if is_cut_short:
         return _undecided(probability)

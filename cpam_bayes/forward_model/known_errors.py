@@ -77,8 +77,6 @@ def powers(
 ) -> Powers | None:
     """The powers at some constants, with their signs.
 
-    Parameters
-    ----------
     model : converged on a Ritz space; of another one nothing is known and None returned
     constants : unknown -> its value, SI
     order : (n_f,) mode of each frequency
@@ -163,8 +161,6 @@ def absorbed(
 
     The frequencies are weighed by the noise that the file states.
 
-    Parameters
-    ----------
     model, constants, order : as of ``powers``
     spread : unknown -> standard deviation of its prior, SI
     listed : (n_f,) numbers of the frequencies in the list; all of them if left out
@@ -236,13 +232,11 @@ class TolerantModel:
     model : with these numbers as the file has them
     tolerances : the numbers, normal about their values
     powers : (n_numbers, n_modes) P, as of ``powers``
-    by_rank : whether modes stand in ascending order, which close ones change with a size
     """
 
     model: ForwardModel
     tolerances: ParameterSet
     powers: Array
-    by_rank: bool
 
     @property
     def parameters(self) -> ParameterSet:
@@ -263,8 +257,9 @@ class TolerantModel:
         if found.jacobian is not None:
             by_number = f[:, :, None] * self.powers.T / x[:, None, n:]
             slopes = np.concatenate((found.jacobian * factor[:, :, None], by_number), axis=2)
-        if not self.by_rank:
+        if isinstance(self.model, LabelledModel):
             return Prediction(f, slopes)
+        # in ascending order, which close modes change with a size
         order = np.argsort(f, axis=1, kind="stable")
         f = np.take_along_axis(f, order, axis=1)
         return Prediction(
@@ -277,8 +272,6 @@ def tolerant(
 ) -> ForwardModel:
     """A model with the usual tolerances of what the file leaves open.
 
-    Parameters
-    ----------
     constants : unknown -> its value where powers are taken, SI
     order : (n_modes,) mode at each place of the predictions
     """
@@ -298,7 +291,7 @@ def tolerant(
         tuple(_known_to(name, sizes[name], sd * sizes[name]) for name, sd in open_to.items())
     )
     changed = np.array([found.of_sizes[name] for name in open_to])
-    return TolerantModel(model, tolerances, changed, by_rank=not isinstance(model, LabelledModel))
+    return TolerantModel(model, tolerances, changed)
 
 
 def narrowed(model: ForwardModel, x: Array, tolerance: float) -> ForwardModel:

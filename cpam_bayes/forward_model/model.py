@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any, Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.effects import add_air, add_known_mass
 from cpam_bayes.mechanics.affine import AffineOperator
@@ -180,8 +179,7 @@ def plate_problem(
     """The plate of a specimen as an eigenvalue problem in some of its constants, angles and sizes.
 
     parameters : what varies; other constants keep their reference value, and those that are not given follow
-    from the others by the material's symmetry. Known masses keep their place in
-    proportion where a size varies.
+    by the material's symmetry. Known masses keep their place in proportion where a size varies.
 
     Raises ``ValueError`` if an unknown angle of the layup is not among the parameters.
     """
@@ -225,7 +223,7 @@ def _plate_state(
     return replace(state, layup=plate.layup.angles(angles))
 
 
-def _is_physical(material: Material | Hybrid, values: Values) -> NDArray[np.bool_]:
+def _is_physical(material: Material | Hybrid, values: Values) -> Array:
     shape = np.broadcast_shapes(*(np.shape(v) for v in values.values()))
     return np.broadcast_to(material.admissible(values), shape)
 
@@ -506,7 +504,7 @@ _MODES = 6
 
 
 @single_blas_thread
-def air_shifts(specimen: Specimen) -> NDArray[np.float64] | None:
+def air_shifts(specimen: Specimen) -> Array | None:
     """Relative changes of the lowest frequencies, f_air / f_vacuum - 1, (n_modes,).
 
     At the reference constants, in air of 1.2 kg/m3, for as many modes as were measured. None

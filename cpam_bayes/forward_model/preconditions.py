@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from cpam_bayes.answer import Notice, Severity
@@ -18,6 +17,7 @@ from cpam_bayes.formatting import listed, significant
 from cpam_bayes.forward_model.model import NO_PARAMETERS, plate_problem, reference_constants
 from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.modes import RigidBodyError, solve
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Material, Measurement, Specimen, joined_name, unit_of
@@ -256,9 +256,7 @@ def likely_cure(ratio: float, *, weighed: bool) -> str:
     return f"the likely slip is {likely[0]}; check the units of the plate file"
 
 
-def units_notices(
-    ratio: NDArray[np.float64], *, weighed: bool, severity: Severity = "warning"
-) -> tuple[Notice, ...]:
+def units_notices(ratio: Array, *, weighed: bool, severity: Severity = "warning") -> tuple[Notice, ...]:
     """A notice where a predicted frequency is not even of the size of the measured one.
 
     ratio : predicted over measured frequencies. weighed : as of `likely_cure`.
@@ -288,8 +286,6 @@ def _raise(specimen: Specimen, problems: list[str]) -> None:
     if problems:
         raise PlateFileError(*(f"{specimen.source}: {problem}" for problem in problems))
 
-
-Array = NDArray[np.float64]
 
 # A list this many times outside what the bounds reach is refused; one that may lack its first modes, or
 # whose labels say which modes it holds, only where it is further away.

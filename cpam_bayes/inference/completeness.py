@@ -257,11 +257,9 @@ def profile_likelihoods(
 ) -> tuple[Profile, ...]:
     """Profile log likelihood of each of ``names`` on a grid (Raue et al., 2009).
 
-    pl(v) = max over the other parameters of log p(data | p) with p_k = v, within bounds and
-    constraints. Priors of ``names`` do not enter; those of the noise and of plate sizes do, being what
-    is known of them, the noise's over its logarithm. All grid points of all parameters are optimised together
-    (``maximise``), from the best draws near them and then from the ends of their neighbours on the grid.
-    What is found is a lower bound of the profile, as of any maximum.
+    pl(v) = max over the other parameters of log p(data | p) with p_k = v, within bounds and constraints.
+    Priors of ``names`` do not enter; those of the noise, over its logarithm, and of plate sizes do. All grid
+    points are optimised together, from the best draws near them and then from the ends of their neighbours.
 
     draws (m, n), log_prob (m,) : of the chains. The grid spans the draws, and the whole search
     interval where the prior is not uniform.

@@ -161,11 +161,9 @@ class EnsembleSettings:
     round_steps : steps between two looks at the chains.
     r_hat, effective : what ends the sampling.
     most_steps : the budget.
-    lengths : autocorrelation times that a chain has to be long. With a window of five times it, a time is
-    known to sqrt(20 / (lengths walkers)) (Sokal, 1996): 20 % from half of ten, that the diagnostics use, of a
-    hundred walkers.
-    jumps : share of the steps that jump to draws of a proposal, where there is one; the others are local
-    moves.
+    lengths : autocorrelation times that a chain has to be long: a time is known to sqrt(20 / (lengths
+    walkers)) (Sokal, 1996).
+    jumps : share of the steps that jump to draws of a proposal, where there is one.
     """
 
     ensembles: int = 2
@@ -333,9 +331,8 @@ def sample(
     start : (ensembles, walkers, n).
     proposal : covers the posterior; without one there are local moves only.
     store : a directory for the rounds; one that holds rounds of the same problem, proposal included, is gone
-    on with, one of another problem raises ``StoreError``. A round that cannot be written, on a full disk for
-    instance, ends the storing and not the sampling: the result says so. ``progress`` is told the diagnostics
-    after each round.
+    on with, one of another problem raises ``StoreError``. A round that cannot be written ends the storing and
+    not the sampling: the result says so. ``progress`` is told the diagnostics after each round.
 
     Moves: differential evolution (ter Braak, 2006), nine in ten with the usual factor, one in ten with factor
     1, which jumps between separate optima; mixed with them, Metropolis-Hastings jumps to independent draws of
@@ -402,8 +399,7 @@ def diagnose_chains(chain: Array, settings: EnsembleSettings) -> Diagnostics:
     (Gelman and Rubin, 1992; Vehtari et al., 2021, without rank normalisation). The effective
     number of samples is the number of draws over the integrated autocorrelation time (Goodman and
     Weare, 2010), estimated from the latter halves of the chains; five such times are left out as burn-in.
-    A walker that does not move throughout that half leaves the time unknown: the chains then count as not
-    converged.
+    A walker that does not move leaves the time unknown: the chains then count as not converged.
     """
     steps = chain.shape[1]
     half = chain[:, steps // 2 :]

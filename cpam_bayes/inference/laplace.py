@@ -259,11 +259,9 @@ def find_optima(
 ) -> tuple[Optimum, ...]:
     """The distinct local maxima next to given starts and to draws from the prior, the best first.
 
-    All starts are optimised at once by damped Gauss-Newton steps (``maximise``); what they reach is parted
-    into optima with a dip between them, and each is polled from 0.01 to 3 standard deviations around
-    (``polish``), which catches false convergence where modes cross. Optima more than 30 nats below the
-    best are dropped, and all after the best ``most``. Raises ``ValueError`` where no start lies in the
-    support of the prior.
+    All starts are optimised at once (``maximise``); what they reach is parted into optima with a dip between
+    them, and each is polled (``polish``). Optima more than 30 nats below the best are dropped, and all after
+    the best ``most``. Raises ``ValueError`` where no start lies in the support of the prior.
 
     starts : (m, n).
     rng : draws further starts, the best ``draws`` of ten times as many; without it there are none.

@@ -52,9 +52,6 @@ class PairingPrior:
             return np.asarray(np.log(number / span))
 
 
-DEFAULT_PAIRING = PairingPrior()
-
-
 @dataclass(frozen=True, slots=True)
 class Pairing:
     """The most probable pairing of one parameter set.
@@ -70,7 +67,7 @@ class Pairing:
 
 
 def monotone_log_likelihood(
-    log_density: Array, in_range: Array, measured_range: float, prior: PairingPrior = DEFAULT_PAIRING
+    log_density: Array, in_range: Array, measured_range: float, prior: PairingPrior
 ) -> Array:
     """Log of the sum over all order-keeping pairings of n measured frequencies with k modes, (m,).
 
@@ -91,7 +88,7 @@ def monotone_log_likelihood(
 
 
 def pair_probabilities(
-    log_density: Array, in_range: Array, measured_range: float, prior: PairingPrior = DEFAULT_PAIRING
+    log_density: Array, in_range: Array, measured_range: float, prior: PairingPrior
 ) -> Array:
     """Probability that a frequency is a mode, over all order-keeping pairings, (m, n, k).
 
@@ -108,7 +105,7 @@ def pair_probabilities(
 
 
 def most_probable_pairing(
-    log_density: Array, in_range: Array, measured_range: float, prior: PairingPrior = DEFAULT_PAIRING
+    log_density: Array, in_range: Array, measured_range: float, prior: PairingPrior
 ) -> Pairing:
     """The pairing with the largest likelihood of one parameter set (log_density (n, k))."""
     if not len(log_density):
@@ -130,11 +127,7 @@ def most_probable_pairing(
 
 
 def labelled_log_likelihood(
-    log_density: Array,
-    in_range: Array,
-    measured_range: float,
-    known: Array,
-    prior: PairingPrior = DEFAULT_PAIRING,
+    log_density: Array, in_range: Array, measured_range: float, known: Array, prior: PairingPrior
 ) -> Array:
     """Log of the sum over all pairings that give frequencies with a known mode that mode, (m,).
 
@@ -154,11 +147,7 @@ def labelled_log_likelihood(
 
 
 def most_probable_labelled_pairing(
-    log_density: Array,
-    in_range: Array,
-    measured_range: float,
-    known: Array,
-    prior: PairingPrior = DEFAULT_PAIRING,
+    log_density: Array, in_range: Array, measured_range: float, known: Array, prior: PairingPrior
 ) -> Pairing:
     """The most probable pairing of one parameter set that respects known modes (log_density (n, k))."""
     rows, columns = _others(log_density, known)

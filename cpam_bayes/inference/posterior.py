@@ -16,7 +16,6 @@ from scipy.special import gammaln, logsumexp
 from cpam_bayes.forward_model.labels import Alternative, LabelledModel
 from cpam_bayes.forward_model.model import ForwardModel
 from cpam_bayes.inference.pairing import (
-    DEFAULT_PAIRING,
     Pairing,
     PairingPrior,
     labelled_log_likelihood,
@@ -178,7 +177,7 @@ class Posterior:
     parameters: ParameterSet
     noise_model: NoiseModel
     labelled: Array
-    pairing: PairingPrior = DEFAULT_PAIRING
+    pairing: PairingPrior
     alternatives: tuple[Alternative, ...] = ()
 
     @property

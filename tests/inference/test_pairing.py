@@ -64,9 +64,10 @@ def test_a_stack_of_parameter_sets_gives_what_each_gives_alone() -> None:
     rng = np.random.default_rng(0)
     log_density = rng.normal(size=(5, 4, 6))
     in_range = rng.uniform(size=(5, 6)) < 0.7
-    together = monotone_log_likelihood(log_density, in_range, 3.0)
+    together = monotone_log_likelihood(log_density, in_range, 3.0, PairingPrior())
     alone = [
-        monotone_log_likelihood(d[None], r[None], 3.0)[0] for d, r in zip(log_density, in_range, strict=True)
+        monotone_log_likelihood(d[None], r[None], 3.0, PairingPrior())[0]
+        for d, r in zip(log_density, in_range, strict=True)
     ]
     np.testing.assert_allclose(together, alone, rtol=1e-14)
 

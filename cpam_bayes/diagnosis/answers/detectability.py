@@ -91,12 +91,8 @@ def _line(t: Tested, score: Array, shift: Array, log_prior: float = 0.0) -> list
     at = np.clip(prior.from_normal(fine), x[0], x[-1])
     log_prior += float(np.log(t.hypothesis.prior))
     curve = PchipInterpolator(x, shift, axis=0)(at)
-    return [ShiftLine(t.hypothesis.cause, log_prior, fine, at - _null(t), np.asarray(curve))]
-
-
-def _null(t: Tested) -> float:
     null = t.hypothesis.parameters[0].null
-    return 0.0 if null is None else null
+    return [ShiftLine(t.hypothesis.cause, log_prior, fine, at - (null or 0.0), np.asarray(curve))]
 
 
 def _at_places(t: Tested, none: Marginal) -> list[ShiftLine]:

@@ -243,9 +243,7 @@ def size_nodes(comparison: LogDensity, sizes: tuple[int, ...]) -> tuple[Array, A
 def shift_table(
     comparison: LogDensity, effect: Sequence[Parameter], sizes: tuple[int, ...], about: Marginal
 ) -> ShiftTable:
-    """Shifts by an effect at the optimum of another hypothesis.
-
-    What that hypothesis lacks is at its prior median.
+    """Shifts by an effect at the optimum of another hypothesis; what that lacks is at its prior median.
 
     Nodes at which the plate buckles or the constraints (9) are broken are left out, if need be all.
 

@@ -93,20 +93,14 @@ def repairings(
 
 def all_modes(plain: LogDensity) -> tuple[LogDensity, list[int]]:
     """The comparison with every mode of every plate as if it were listed, and where each plate's begin."""
-    sizes = [
-        len(part.bare.predict(_middle(plain, i)).frequencies[0]) for i, part in enumerate(plain.model.parts)
-    ]
+    middle = plain.scores.to_x(np.zeros((1, plain.parameters.size)))
+    sizes = [len(part.bare.predict(part.plate_vector(middle)).frequencies[0]) for part in plain.model.parts]
     parts = tuple(
         replace(part, modes=np.arange(size), misread=())
         for part, size in zip(plain.model.parts, sizes, strict=True)
     )
     offsets = [0, *np.cumsum(sizes)[:-1].tolist()]
     return replace(plain, model=replace(plain.model, parts=parts)), offsets
-
-
-def _middle(plain: LogDensity, i: int) -> Array:
-    x = plain.scores.to_x(np.zeros((1, plain.parameters.size)))
-    return plain.model.parts[i].plate_vector(x)
 
 
 def _indices(
@@ -266,7 +260,8 @@ def _and(p: PairedLists, i: int, best: PairedLists) -> PairedLists:
 
 def in_order(cases: Sequence[PlateCase]) -> Cases:
     """The plates with every frequency of an incomplete list given to a mode, none false."""
-    return tuple(with_pairing(c, _filled(c)) if is_incomplete(c) else c for c in cases)
+    # a false peak has any mode
+    return tuple(with_pairing(c, np.maximum(c.modes, 0)) if is_incomplete(c) else c for c in cases)
 
 
 def pairing_at(
@@ -388,8 +383,3 @@ def _forgiving(comparison: LogDensity, relative: float) -> LogDensity:
 
 def _with(cases: Sequence[PlateCase], i: int, case: PlateCase) -> Cases:
     return (*cases[:i], case, *cases[i + 1 :])
-
-
-def _filled(case: PlateCase) -> Array:
-    """Modes of a list whose false peaks have any mode: what stands for the whole list."""
-    return np.where(case.modes >= 0, case.modes, 0)

@@ -208,10 +208,8 @@ def plate_deck(
 ) -> Deck:
     """The deck of a specimen: mesh, plies, edges, known masses, a step for its modes.
 
-    Shells are S8R with a composite section. Bricks are C3D20R in layers: each run of equal plies
-    has its own layers of elements, no ply is averaged with another. Plies are those of
-    `material_card`. Edges hold the fields that `plate.edges` names,
-    bricks on the whole face.
+    Shells are S8R with a composite section. Bricks are C3D20R in layers, of which each run of equal plies has
+    its own. Plies are those of `material_card`. Bricks are held on the whole face of an edge.
 
     constants : E1, E2, nu12, G12, G13, G23, all six, Pa or dimensionless; of a hybrid those of each material.
     n_modes : deformation modes; the step asks for the rigid-body motions beside them.
@@ -229,7 +227,7 @@ def plate_deck(
         mesh, owner = shell_mesh(*lines), np.zeros(1, dtype=np.int64)
     else:
         z, owner = layer_boundaries(runs.heights)
-        lines = _lines(specimen, in_plane or _bricks_in_plane(len(owner)))
+        lines = _lines(specimen, in_plane or int(np.clip(_BRICKS // len(owner), *_BRICKS_IN_PLANE)))
         _check_size(lines, len(owner))
         mesh = brick_mesh(*lines, z)
     unique, which = np.unique(runs.angles, return_inverse=True)
@@ -314,11 +312,6 @@ def _material_cards(specimen: Specimen, constants: Mapping[str, float], runs: Pl
         about = f"** material {name}\n" if name else ""
         cards[in_deck] = about + material_card(constants_of(constants, name), part.symmetry, density, in_deck)
     return cards
-
-
-def _bricks_in_plane(n_layers: int) -> int:
-    fewest, most = _BRICKS_IN_PLANE
-    return int(np.clip(_BRICKS // n_layers, fewest, most))
 
 
 def _lines(specimen: Specimen, in_plane: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
