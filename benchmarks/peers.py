@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import eigsh
 from skfem import Basis, BilinearForm, ElementQuadS2, ElementVector, MeshQuad
 
-from cpam_bayes.forward_model.calculix import PROGRAM_VARIABLE, solve_modes
 from cpam_bayes.forward_model.calculix.deck import Element
+from cpam_bayes.forward_model.calculix.run import PROGRAM_VARIABLE, solve_modes
 from cpam_bayes.mechanics.problem import PlateState
 from cpam_bayes.plate import Specimen
 

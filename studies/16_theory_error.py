@@ -30,7 +30,7 @@ import scipy.optimize
 from numpy.typing import NDArray
 
 import cpam_bayes as cb
-from cpam_bayes.forward_model.calculix import solve_modes
+from cpam_bayes.forward_model.calculix.run import solve_modes
 from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.forward_model.three_dimensions import (
     common_theory_errors,

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import cpam_bayes as cb
-from cpam_bayes.forward_model.calculix import solve_modes
+from cpam_bayes.forward_model.calculix.run import solve_modes
 from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.forward_model.three_dimensions import LIMIT, sandwich_error
 from cpam_bayes.plate import Specimen

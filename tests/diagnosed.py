@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case, with_list
+from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
 from cpam_bayes.plate import parse_specimen
@@ -42,7 +42,7 @@ def listed(case: PlateCase, factor: np.ndarray, noise: np.ndarray = DRAWN) -> Pl
     x = np.array([[69e9, 0.33]])
     f = case.models.bare.predict(x).frequencies[0, : len(factor)]
     measured = np.round(f * factor * (1.0 + NOISE * noise), 1)
-    return with_list(case, replace(case.measurement, frequencies=measured, resolution=0.1))
+    return replace(case, measurement=replace(case.measurement, frequencies=measured, resolution=0.1))
 
 
 @cache

@@ -1,7 +1,4 @@
-"""From plate files to plates with their lists and models, ready to be weighed.
-
-An incomplete list is paired with the modes of the model; every pairing has a prior probability.
-"""
+"""From plate files to plates with their lists, paired with the modes of their models, ready to be weighed."""
 
 from __future__ import annotations
 
@@ -10,30 +7,28 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis, prior_by_cause, single_hypotheses
-from cpam_bayes.diagnosis.models import (
-    PlateModels,
-    extended_model,
-    needs_another_space,
-    plate_models,
-)
+from cpam_bayes.diagnosis.models import PlateModels, extended_model, needs_another_space, plate_models
 from cpam_bayes.effects import CATALOGUE, Effect, extend
 from cpam_bayes.forward_model.build import without_matrices
 from cpam_bayes.forward_model.labels import by_shape, labelled_model, list_order, spare_modes
 from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.model import reference_vector
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.inference.pairing import PairingPrior, monotone_log_likelihood, most_probable_pairing
+from cpam_bayes.inference.pairing import (
+    PairingPrior,
+    labelled_log_likelihood,
+    most_probable_labelled_pairing,
+)
 from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parallel import counted, run
 from cpam_bayes.parameters import Parameter
-from cpam_bayes.plate import Measurement, Specimen
+from cpam_bayes.plate import Specimen
 from cpam_bayes.running import TimeIsUpError
 
 # Modes computed beyond a complete list, which may lack two, and beyond one that says it is incomplete.
@@ -45,10 +40,8 @@ def plate_case(
 ) -> PlateCase:
     """A plate with its list, every frequency given to a mode.
 
-    A list is paired in order, and labels and measured shapes fix their modes, shapes that are like several
-    modes the most probable ones. The pairings of an incomplete list, summed over
-    in its diagnosis, begin from there. Raises ``ValueError`` for a specimen without a list or without unknown
-    constants.
+    A list is paired in order, and labels and measured shapes fix their modes. The pairings of an incomplete
+    list begin from there. Raises ``ValueError`` for a specimen without a list or without unknown constants.
 
     is_rough : whether its model is a rough one
     """
@@ -69,18 +62,12 @@ def plate_case(
     return PlateCase(models, measurement, order[: measurement.size], by_shape=by_shape(model))
 
 
-def with_list(case: PlateCase, measurement: Measurement) -> PlateCase:
-    """The same plate with another complete list of as many frequencies; its models are shared."""
-    return replace(case, measurement=measurement)
-
-
 def hypotheses_of(
     cases: Sequence[PlateCase], catalogue: tuple[Effect, ...] = CATALOGUE
 ) -> list[tuple[Hypothesis, tuple[int, ...]]]:
     """All single hypotheses with the plates that they are about, none first.
 
-    With several specimens a cause may be that of one of them or common to all, with one size; both have
-    the same probability, and so have the specimens.
+    With several specimens a cause may be that of one of them or, as probably, common to all with one size.
     """
     singles = [
         single_hypotheses(
@@ -159,10 +146,10 @@ def _widest_size(hypothesis: Hypothesis) -> float:
 def _of_specimen(
     singles: Sequence[tuple[Hypothesis, ...]], tests: tuple[int, ...]
 ) -> list[tuple[Hypothesis, tuple[int, ...]]]:
-    """Causes of one specimen with its tests that they are about.
+    """Causes of one specimen with its tests that they are about, as probable as with one test.
 
-    A flaw of the plate is about all tests in which it can act: threads do not hold a clamped plate. Clamps
-    and errors of a frequency list are about one test each. A cause is as probable as it is with one test.
+    A flaw of the plate is about all tests in which it can act; clamps and errors of a list are about one
+    each.
     """
     flaws: dict[tuple[str, str], tuple[Hypothesis, list[int]]] = {}
     causes: list[tuple[Hypothesis, tuple[int, ...]]] = []
@@ -192,8 +179,7 @@ def build_models(
 ) -> None:
     """Build the models that hypotheses need, on all workers of an executor.
 
-    The models are the same bit for bit on any executor. What cannot be sent to a worker, an effect of a
-    script for instance, is left to be built when it is asked for.
+    They are the same bit for bit on any. What cannot be sent to a worker is built when it is asked for.
     """
     wanted = _wanted(cases, hypotheses)
     if not wanted:
@@ -242,14 +228,11 @@ def _wanted(
                 key = (i, effect.name, effect.variant)
                 known = key in wanted or key[1:] in case.extended or effect.change is None
                 if not known and _can_be_sent(effect):
-                    wanted[key] = (1 - int(_is_converged_anew(models, effect)), i, effect)
+                    is_converged_anew = not effect.is_anywhere and needs_another_space(
+                        extend(models.problem, effect, models.facts), effect, models
+                    )
+                    wanted[key] = (1 - int(is_converged_anew), i, effect)
     return [(i, effect) for _, i, effect in sorted(wanted.values(), key=lambda entry: entry[0])]
-
-
-def _is_converged_anew(models: PlateModels, effect: Effect) -> bool:
-    if effect.is_anywhere:
-        return False
-    return needs_another_space(extend(models.problem, effect, models.facts), effect, models)
 
 
 def _can_be_sent(effect: Effect) -> bool:
@@ -260,19 +243,13 @@ def _can_be_sent(effect: Effect) -> bool:
     return True
 
 
-Array = NDArray[Any]
-
-
 def is_incomplete(case: PlateCase) -> bool:
     """Whether pairings of a plate's list are summed over."""
     return not case.measurement.complete
 
 
 def is_open_ended(case: PlateCase) -> bool:
-    """Whether the last frequency of an incomplete list is a false peak.
-
-    Only then does the pairing itself not say how many modes below it are missed.
-    """
+    """Whether the last frequency of an incomplete list is a false peak: modes below it may be missed."""
     return is_incomplete(case) and bool(case.modes[-1] < 0)
 
 
@@ -315,34 +292,17 @@ def with_missed_modes(case: PlateCase, predicted: Array) -> PlateCase:
 
 def most_probable(case: PlateCase, predicted: Array, sigma: Array) -> Array:
     """The most probable modes (n,) at predictions (k,) with noise (n,) Hz; labelled ones keep theirs."""
-    fixed = labelled(case)
-    columns = np.setdiff1d(np.arange(len(predicted)), case.modes[fixed])
-    f = case.measurement.frequencies
-    density = log_density(f[~fixed], predicted[None, columns], sigma[~fixed])[0]
-    pairing = most_probable_pairing(
-        density,
-        predicted[columns] <= f[-1],
-        f[-1],
-        PairingPrior.of(case.measurement).among(np.flatnonzero(~fixed)),
-    )
-    modes = np.array(case.modes)
-    modes[~fixed] = np.where(pairing.mode >= 0, columns[pairing.mode], -1)
-    return modes
+    f, known = case.measurement.frequencies, np.where(labelled(case), case.modes, -1)
+    density = log_density(f, predicted[None], sigma)[0]
+    prior = PairingPrior.of(case.measurement)
+    return most_probable_labelled_pairing(density, predicted <= f[-1], f[-1], known, prior).mode
 
 
 def log_sum(case: PlateCase, predicted: Array, relative: float) -> Array:
     """Log likelihood of predictions (m, k) summed over all pairings, at a relative noise, (m,)."""
-    fixed, f = labelled(case), case.measurement.frequencies
-    columns = np.setdiff1d(np.arange(predicted.shape[1]), case.modes[fixed])
-    density = log_density(f[~fixed], predicted[:, columns], relative * f[~fixed])
-    value = monotone_log_likelihood(
-        density,
-        predicted[:, columns] <= f[-1],
-        f[-1],
-        PairingPrior.of(case.measurement).among(np.flatnonzero(~fixed)),
-    )
-    away = (f[fixed] - predicted[:, case.modes[fixed]]) / (relative * f[fixed])
-    return np.asarray(value - 0.5 * np.sum(away**2, axis=1))
+    f, known = case.measurement.frequencies, np.where(labelled(case), case.modes, -1)
+    density, prior = log_density(f, predicted, relative * f), PairingPrior.of(case.measurement)
+    return labelled_log_likelihood(density, predicted <= f[-1], f[-1], known, prior)
 
 
 def log_density(f: Array, predicted: Array, sigma: Array) -> Array:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, Hypothesis
 from cpam_bayes.diagnosis.models import PlateModels, extended_model, plate_models
@@ -17,17 +15,14 @@ from cpam_bayes.forward_model.composed import Change, ComposedModel, Part
 from cpam_bayes.forward_model.known_errors import common_covariance, number_of
 from cpam_bayes.forward_model.labels import ShapePairing
 from cpam_bayes.forward_model.local.model import LocalModel
-from cpam_bayes.forward_model.model import ForwardModel
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.identification.density import deviation
 from cpam_bayes.inference.derivatives import NormalScores
 from cpam_bayes.inference.log_density import Listed, LogDensity
 from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedLogNormal
 from cpam_bayes.plate import Measurement
-
-Array = NDArray[Any]
-
 
 # Repeatability of a list that does not state it: docs/priors.md says where it is from.
 REPEATABILITY_PRIOR = TruncatedLogNormal(0.002, 0.8, 1e-5, 0.02)
@@ -79,11 +74,7 @@ class PlateCase:
 
 
 def comparison_of(
-    cases: Sequence[PlateCase],
-    hypotheses: Mapping[int, Hypothesis] | Hypothesis,
-    *,
-    scatter: float = SCATTER,
-    stand_ins: Mapping[int, ForwardModel] | None = None,
+    cases: Sequence[PlateCase], hypotheses: Mapping[int, Hypothesis] | Hypothesis, *, scatter: float = SCATTER
 ) -> LogDensity:
     """The plates' frequency lists against their models under a hypothesis for each plate.
 
@@ -91,7 +82,6 @@ def comparison_of(
 
     hypotheses : by plate, or one for all plates, with one size of the effect; plates of one specimen have
         one size in either case
-    stand_ins : cheaper models of plates, used where a plate has no hypothesis
     """
     of_plate = (
         dict.fromkeys(range(len(cases)), hypotheses) if isinstance(hypotheses, Hypothesis) else hypotheses
@@ -104,10 +94,7 @@ def comparison_of(
         models = case.models
         if hypothesis is not None and hypothesis.other_material:
             models = case.of_other_material()
-        bare: ForwardModel = models.bare
-        if hypothesis is None and stand_ins is not None:
-            bare = stand_ins[i]
-        part, listed = _part(joint, case, models, bare, hypothesis, shared)
+        part, listed = _part(joint, case, models, hypothesis, shared)
         parts.append(part)
         lists.append(listed)
     model = ComposedModel(ParameterSet(tuple(joint.parameters)), tuple(parts))
@@ -151,12 +138,7 @@ class _Joint:
 
 
 def _part(
-    joint: _Joint,
-    case: PlateCase,
-    models: PlateModels,
-    bare: ForwardModel,
-    hypothesis: Hypothesis | None,
-    shared: bool,
+    joint: _Joint, case: PlateCase, models: PlateModels, hypothesis: Hypothesis | None, shared: bool
 ) -> tuple[Part, Listed]:
     several = len({c.models.specimen.specimen for c in joint.cases}) > 1
     materials = {c.models.specimen.material.name for c in joint.cases}
@@ -191,7 +173,7 @@ def _part(
             column = joint.add(parameter)
             misread += [(int(i), column) for i in np.flatnonzero(kept == number)]
     error = np.hypot(models.error, models.theory_error)[np.minimum(modes, len(models.error) - 1)]
-    part = Part(bare, np.array(columns), np.array(scatter), tuple(changes), modes, tuple(misread))
+    part = Part(models.bare, np.array(columns), np.array(scatter), tuple(changes), modes, tuple(misread))
     return part, _listed(case.measurement, kept, error, log_constant)
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
 
-from cpam_bayes.answer import Reliance
+from cpam_bayes.answer import Notice, Reliance, each_once
 from cpam_bayes.diagnosis.answers.detectability import Detectable, detectable
 from cpam_bayes.diagnosis.answers.optima import (
     OpenOptimum,
@@ -19,7 +19,7 @@ from cpam_bayes.diagnosis.answers.optima import (
     open_optima,
     prior_sensitivity,
 )
-from cpam_bayes.diagnosis.cases import hypotheses_of
+from cpam_bayes.diagnosis.cases import differing_priors, hypotheses_of
 from cpam_bayes.diagnosis.comparison import SCATTER, PlateCase
 from cpam_bayes.diagnosis.evidence.marginal import Marginal, best_log_likelihood
 from cpam_bayes.diagnosis.evidence.sampled import shared_out
@@ -56,7 +56,10 @@ from cpam_bayes.diagnosis.signatures import (
     signature_of,
     with_equal_fits,
 )
+from cpam_bayes.forward_model.labels import shape_notices
+from cpam_bayes.forward_model.preconditions import count_notices
 from cpam_bayes.identification.point import reliances
+from cpam_bayes.inference.assessment import cut_notices
 from cpam_bayes.running import cut_short, is_time_up, single_blas_thread
 
 # A cause of which the constants leave less than this fraction to be seen is called hidden.
@@ -318,7 +321,7 @@ def _causes(
     # fits are compared where a cause may be claimed
     compared = names if probabilities[NONE] < CLAIM_RULES.plain else []
     fits = compared_by_fits({name: best[name] for name in compared}, probabilities, by_signature)
-    marginals = [t.marginal for t in fits.values()]
+    marginals = [(t.marginal,) for t in fits.values()]
     peaks = shared_out(best_log_likelihood, cases, marginals, executor)
     like = with_equal_fits(by_signature, dict(zip(fits, peaks, strict=True)), probabilities)
     causes = []
@@ -415,3 +418,66 @@ def _members(weighed: Weighed, claim: Claim) -> tuple[tuple[Tested, float], ...]
     kept = [t for t in claimed if t.probability >= _LEAST_FRACTION * total]
     total = sum(t.probability for t in kept)
     return tuple((t, t.probability / total) for t in kept)
+
+
+# A predictive p-value this far out says that noise alone does not explain the residuals.
+_P_LOW = 0.02
+# Fraction of the cases in which the claimed cause must stay ahead without one frequency.
+_STABLE = 0.8
+# Importance sampling whose standard error of a log evidence is above this is warned of, nats.
+_ROUGH = 0.3
+# Probability of sets that were not weighed from which it is said.
+_UNWEIGHED = 0.01
+
+
+def diagnosis_notices(d: Diagnosis) -> tuple[Notice, ...]:
+    """Every reason not to trust a diagnosis as it stands."""
+    return tuple(_notices(d))
+
+
+def _notices(d: Diagnosis) -> Iterator[Notice]:
+    fit = d.baseline if d.extended is None else d.extended
+    unknowns = {name for case in d.cases for name in case.models.specimen.unknowns.names}
+    yield from count_notices(len(d.baseline.measured), len(unknowns & set(d.baseline.constants)))
+    if d.claim.kind == NONE and d.baseline.predictive_p < _P_LOW:
+        inferred = d.weighed.none.marginal.comparison.noise is not None
+        yield Notice("unexplained_by_none", facts={"p": d.baseline.predictive_p, "inferred": inferred})
+    if d.extended is not None and d.extended.predictive_p < _P_LOW:
+        yield Notice("unexplained_by_claim", facts={"p": d.extended.predictive_p})
+    draws = dict(zip(fit.constants, fit.draws.T, strict=True))
+    yield from cut_notices(d.cases[0].models.specimen.material, draws)
+    if d.gain is not None and d.gain.stable < _STABLE:
+        yield Notice("single_frequencies", facts={"stable": d.gain.stable})
+    if d.optima:
+        yield _of_optima(d)
+    yield from each_once(n for c in d.cases for n in shape_notices(c.by_shape, c.measurement, "best"))
+    names = differing_priors(d.cases)
+    if names:
+        yield Notice("differing_priors", facts={"names": names, "taken": d.cases[0].name})
+    rough = max((t.marginal.error for t in d.weighed.tested if np.isfinite(t.marginal.error)), default=0.0)
+    if rough > _ROUGH:
+        yield Notice("rough_evidences", facts={"error": float(rough)})
+    if d.weighed.unaccounted > _UNWEIGHED:
+        yield Notice("unweighed_sets", facts={"probability": d.weighed.unaccounted})
+
+
+def _of_optima(d: Diagnosis) -> Notice:
+    """Several optima, and the measured mode shapes that would decide between the first two."""
+    first, second = d.optima[:2]
+    apart = {
+        n: second.constants[n] / v - 1.0 for n, v in first.constants.items() if v and n in second.constants
+    }
+    name = max(apart, key=lambda n: abs(apart[n]))
+    swapped = None
+    for i, k, a, b in first.differences(second)[:1]:
+        swapped = {"plate": d.cases[i].name if len(d.cases) > 1 else "", "frequency": k + 1, "modes": (a, b)}
+    return Notice(
+        "several_optima",
+        facts={
+            "count": len(d.optima),
+            "fractions": tuple(o.fraction for o in d.optima[:2]),
+            "constant": name,
+            "apart": abs(apart[name]),
+            "swapped": swapped,
+        },
+    )

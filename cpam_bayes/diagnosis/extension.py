@@ -4,18 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.diagnose import Diagnosis
 from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.diagnosis.fit import Fit
 from cpam_bayes.mechanics.modes import Mode
-
-Array = NDArray[Any]
+from cpam_bayes.mechanics.problem import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +120,5 @@ def _missed_modes(d: Diagnosis, leader: Tested, modes_of: Sequence[Sequence[Mode
 
 def _plate_vector(t: Tested, i: int) -> Array:
     """Parameters of the bare model of one plate where a hypothesis is most probable."""
-    part, x = t.marginal.comparison.model.parts[i], t.marginal.best
-    constants = np.array(x[part.columns])
-    varied = part.scatter >= 0
-    constants[varied] *= 1.0 + x[part.scatter[varied]]
-    return constants
+    at: Array = t.marginal.comparison.model.parts[i].plate_vector(t.marginal.best[None])[0]
+    return at

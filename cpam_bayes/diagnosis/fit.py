@@ -1,17 +1,13 @@
-"""A fitted model, or a mixture of models, against the lists: whether it explains them, and what it is worth.
-
-The gain of a claimed cause is in residuals, in evidence, and in predictions of frequencies left out.
-"""
+"""A fitted model, or a mixture of models, against the lists: whether it explains them, and its worth."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 from scipy.stats import chi2
 
@@ -26,9 +22,8 @@ from cpam_bayes.forward_model.composed import ComposedModel
 from cpam_bayes.forward_model.preconditions import birge_ratio
 from cpam_bayes.inference.log_density import LogDensity, kept_of
 from cpam_bayes.inference.student_mixture import RELIABLE_K, effective_size, pareto_shape
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter
-
-Array = NDArray[Any]
 
 # Scores of an inferred repeatability that its prior is averaged over; its tail is wanted down to 1e-6.
 _SCORES = np.linspace(-5.0, 5.0, 41)
@@ -45,10 +40,9 @@ def explains(tested: Tested) -> float:
         p = integral of P(chi2_nu >= T(a)) p(a) da,  nu = n - tr H,
 
     over the repeatability a: the one that is stated, or the prior of one that is inferred, not its posterior,
-    which any misfit widens until it is explained. H = A (A^T A + I)^-1 A^T projects on what the parameters
-    answer within their priors, A their derivatives over normal scores in units of the noise; the mean of T
-    over the prior predictive distribution is nu (Gelman et al., Bayesian Data Analysis, 3rd ed., 6.3, of the
-    check). The parameters are fitted again for every a.
+    which any misfit widens until it is explained (Gelman et al., Bayesian Data Analysis, 3rd ed., 6.3).
+    H = A (A^T A + I)^-1 A^T projects on what the parameters answer within their priors, A their derivatives
+    over normal scores in units of the noise. The parameters are fitted again for every a.
     """
     comparison = tested.marginal.comparison
     z = _starts(tested)
@@ -65,8 +59,7 @@ def explains(tested: Tested) -> float:
 def misfit_beyond_noise(tested: Tested) -> float:
     """Root mean square of what a hypothesis leaves of the lists beyond noise, relative.
 
-    Of its most probable parameters; a noise that is inferred counts with the median of its prior, and what
-    nothing explains does not count as noise.
+    A noise that is inferred counts with the median of its prior; what nothing explains is no noise.
     """
     comparison = tested.marginal.comparison
     z = tested.marginal.z[:1].copy()
@@ -91,8 +84,7 @@ def leftover_of(members: Sequence[tuple[Tested, float]]) -> tuple[float, float]:
 def within_stated_noise(tested: Tested, n_constants: int) -> bool:
     """Whether noise as stated explains what a hypothesis leaves of the lists, by `birge_ratio`.
 
-    Of its most probable parameters, over the frequencies whose noise is stated; the discrepancy of an error
-    outside the catalogue is no noise.
+    Over the frequencies whose noise is stated; a discrepancy is no noise.
     """
     marginal = tested.marginal
     listed = marginal.comparison.listed
@@ -117,7 +109,7 @@ class PredictiveChecks:
         self, cases: Sequence[PlateCase], tested: Sequence[Tested], executor: Executor | None
     ) -> None:
         """The p-values of hypotheses about some plates, side by side on an executor."""
-        for t, p in zip(tested, shared_out(explains, cases, tested, executor), strict=True):
+        for t, p in zip(tested, shared_out(explains, cases, [(t,) for t in tested], executor), strict=True):
             self._known[id(t.marginal)] = (t.marginal, p)
 
     def p_value(self, tested: Tested) -> float:
@@ -356,10 +348,10 @@ def gain_of(
     extending = {t.hypothesis.cause for t, _ in members} - {NONE} or {OTHER}
     claimed = extending | set(claim.causes)
     none = weighed.none.marginal
-    top = shared_out(_sampled, cases, _near_the_top(weighed, claimed), executor)
+    top = shared_out(_sampled, cases, [(t,) for t in _near_the_top(weighed, claimed)], executor)
     whole = np.array([t.marginal.log_evidence for t in top])
     items = [(tuple(cases), t, n, None if t is top[0] else none, scatter) for t in top]
-    folds = np.stack(shared_out(_folds_of, cases, items, executor))
+    folds = np.stack(shared_out(left_out, cases, items, executor))
     is_plain = np.array([t.hypothesis.cause == NONE for t in top])
     log_prior = np.log([t.hypothesis.prior for t in top])
     weight = folds + log_prior[:, None]
@@ -433,8 +425,7 @@ def _reweighted(marginal: Marginal, about: LogDensity) -> Array:
 
     ln Z_-i = ln Z + ln E[1 / p(f_i | f_-i, x)] over the posterior of x (Gelfand, Dey and Chang, Bayesian
     Statistics 4, 1992). Not a number where the weights' tail is too heavy (Vehtari, Gelman and Gabry, Stat.
-    Comput. 27, 2017) or their error too large, unless those of the draws are hardly better: what a frequency
-    says alone is for a sample of its own.
+    Comput. 27, 2017) or their error too large, unless those of the draws are hardly better.
     """
     evidences = np.full(len(about.listed.frequencies), np.nan)
     if not marginal.is_sampled or not np.isfinite(marginal.k_hat):
@@ -448,10 +439,6 @@ def _reweighted(marginal: Marginal, about: LogDensity) -> Array:
         if pareto_shape(own) < most_k and error < most_error:
             evidences[i] = marginal.log_evidence + logsumexp(own)
     return evidences
-
-
-def _folds_of(item: tuple[Sequence[PlateCase], Tested, int, Marginal | None, float]) -> Array:
-    return left_out(*item)
 
 
 def _near_the_top(weighed: Weighed, claimed: set[str]) -> list[Tested]:

@@ -10,14 +10,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from cpam_bayes.effects import (
-    CATALOGUE,
-    Effect,
-    ListChange,
-    PlateFacts,
-    applicable,
-    variants,
-)
+from cpam_bayes.effects import CATALOGUE, Effect, ListChange, PlateFacts, applicable, variants
 from cpam_bayes.effects.effect import GROSS_FRACTION, PERCENT, one_sided
 from cpam_bayes.parameters import Parameter
 
@@ -274,8 +267,6 @@ def go_together(*causes: Hypothesis) -> bool:
     """Whether causes can act together: not what excludes each other, nor modes paired otherwise and misread.
 
     A second effect of a cause acts beside the first one, and a second misread frequency is the higher one.
-
-    Where the constants may be anything, what else may be wrong is for another diagnosis to say.
     """
     each = [h for cause in causes for h in cause.instances]
     if len({h.cause for h in each}) < len(each) or any(h.other_material for h in each):
@@ -349,13 +340,12 @@ def claim_of(
     is_cut_short : whether hypotheses are missing: then nothing is claimed
     unaccounted : probability of sets that were not weighed, none of which may hold what is claimed
 
-    Nothing is wrong where none has half the probability. A cause acts with its inclusion probability, that of
-    all sets that hold it. Causes that act with 0.9 each, in one set, are claimed together. Else the fewest
-    causes are claimed of which one acts with 0.9: one is named, up to six are a class, whether or not they
-    look alike. The best set with one of these is 3 nats above every set without: a cause that is not so far
-    behind joins the class, and where none or other is not, nothing is claimed. No cause is claimed whose
-    extended model leaves a misfit that is no noise: where those that explain nothing hold 0.9 with other, it
-    is other. The rest is undecided.
+    Nothing is wrong where none has half the probability. Causes that act with 0.9 each, over all sets that
+    hold them, are claimed together. Else the fewest causes are claimed of which one acts with 0.9: one is
+    named, up to six are a class. The best set with one of these is 3 nats above every set without: a cause
+    that is not so far behind joins the class, and where none or other is not, nothing is claimed. No cause is
+    claimed whose extended model leaves a misfit that is no noise: where those that explain nothing hold 0.9
+    with other, it is other. The rest is undecided (docs/model_errors.md).
     """
     if is_cut_short:
         return _undecided(probability)

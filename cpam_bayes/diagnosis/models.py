@@ -1,22 +1,17 @@
-"""The model of a hypothesis: frequencies of one or several plates with what each may have.
-
-Each plate has reduced models, bare and with its effects, over the priors of its constants.
-"""
+"""Reduced models of a plate, bare and with each effect that it may have, over the priors of its constants."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.effects import Effect, PlateFacts, extend
 from cpam_bayes.forward_model.build import basis_tolerance, model_key, remembered, without_matrices
 from cpam_bayes.forward_model.known_errors import common_errors
-from cpam_bayes.forward_model.local.basis import BarePlate, patch_model, point_mass_model
+from cpam_bayes.forward_model.local.basis import patch_model, point_mass_model
 from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.model import (
     ForwardModel,
@@ -33,15 +28,12 @@ from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings, re
 from cpam_bayes.forward_model.three_dimensions import theory_bias, theory_error
 from cpam_bayes.mechanics.affine import AffineOperator
 from cpam_bayes.mechanics.convergence import Tolerance, converge
-from cpam_bayes.mechanics.problem import Problem, any_of
+from cpam_bayes.mechanics.problem import Array, Problem, any_of
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet, Uniform
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.edges import Field
-from cpam_bayes.plate.laminate import ENERGY_CONSISTENT
 from cpam_bayes.running import single_blas_thread
-
-Array = NDArray[Any]
 
 # Rigid-body motions and stretching that some effect needs, kept in the space of the bare plate.
 _CONTENT: tuple[tuple[Field, tuple[int, int]], ...] = (
@@ -98,10 +90,9 @@ class PlateModels(ConvergedPlate):
 
 
 def diagnosis_parameters(specimen: Specimen, *, other_material: bool = False) -> ParameterSet:
-    """The unknown constants with the prior of all verbs, and the sizes of [plate.sd].
+    """The unknown constants with the prior of all verbs, cut at four standard deviations, and the sizes.
 
-    A stated reference is cut at four standard deviations. Where the material is another one, the constants
-    keep the prior of [unknowns]; a former posterior says nothing of it.
+    Where the material is another one, the constants keep the prior of [unknowns], without former posteriors.
     """
     unknowns = _of_other_material(specimen) if other_material else constant_parameters(specimen, _CUT)
     return unknowns.union(size_parameters(specimen))
@@ -142,7 +133,7 @@ def plate_models(
         reduced = _reduced(full, settings.tolerance)
         return without_matrices(reduced) if other_material else reduced
 
-    key = model_key(specimen, parameters, n_modes, ENERGY_CONSISTENT, settings, None)
+    key = model_key(specimen, parameters, n_modes, settings, None)
     bare = remembered(json.dumps([key, "bare", other_material, is_rough]), make)
     assert bare.full.basis is not None
     return PlateModels(
@@ -221,8 +212,7 @@ def extended_model(
     """The reduced model of a plate with an effect, over the priors of both, without matrices of a full space.
 
     Where the effect changes the edges or couples bending with stretching the space is converged anew. An
-    effect at any place has one model for all places, forms that follow from the plate have one space and
-    basis. The matrices of ``plate`` are not used.
+    effect at any place has one model for all places, forms that follow from the plate have one basis.
     """
     if effect.on_plate is not None:
         return _form_model(plate, effect, notify)
@@ -277,12 +267,11 @@ def extended_problem(plate: ConvergedPlate, effect: Effect) -> tuple[Problem, Ar
 
 def local_model(plate: PlateModels, effect: Effect) -> LocalModel:
     """The model of a plate with an effect whose place is a parameter."""
-    bare = BarePlate(plate.problem, plate.settings, plate.samples.x, plate.n_modes, plate.error)
     if effect.local is None:
         raise ValueError(f"effect {effect.name}: at any place, but its form is not given in `local`")
     if effect.local == "point":
-        return point_mass_model(bare, effect.parameter_set)
-    return patch_model(bare, effect.parameter_set, effect.local)
+        return point_mass_model(plate.bare.full, plate.samples.x, effect.parameter_set)
+    return patch_model(plate.bare.full, plate.samples.x, effect.parameter_set, effect.local)
 
 
 def converged_plate(

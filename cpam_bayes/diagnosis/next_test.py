@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp, ndtri
 from scipy.stats import qmc
 
@@ -23,12 +21,11 @@ from cpam_bayes.forward_model.composed import Change, ComposedModel, Part
 from cpam_bayes.forward_model.local.modal import ModalPlate, changed_on_modes, on_modes
 from cpam_bayes.forward_model.model import ForwardModel, PlateModel, model_on_basis
 from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Sensor
 from cpam_bayes.plate.edges import ALL_FREE, CANTILEVER, conditions
 from cpam_bayes.running import single_blas_thread
-
-Array = NDArray[Any]
 
 # Further modes; a known mass over the plate's, and its distance from a corner over the sides.
 MORE_MODES = 4
@@ -70,11 +67,7 @@ class FurtherTest:
 
 
 def further_tests(
-    cases: Sequence[PlateCase],
-    about: int,
-    last_mode: int,
-    scatter: float,
-    notify: Callable[[str], None] = lambda text: None,
+    cases: Sequence[PlateCase], about: int, last_mode: int, scatter: float
 ) -> list[FurtherTest]:
     """The tests of one of the plates; last_mode : number of the last mode that any hypothesis has listed."""
     case = cases[about]
@@ -228,8 +221,7 @@ def _response(model: ComposedModel, drawn: _Drawn, weight: Array) -> Predicted:
     """Frequencies at all draws, from those at some where there are many.
 
     The relative scatter of the latter about the response is missing then. Log frequencies are taken as
-    quadratic in each of the logarithms of constants and sizes and of the effects' parameters: they are linear
-    in the logarithm of what scales all stiffnesses, even in a skew.
+    quadratic in each of the logarithms of constants and sizes and of the effects' parameters.
     """
     v, weight = drawn.v.copy(), weight / weight.sum()
     v[:, : drawn.n_plate] = np.log(v[:, : drawn.n_plate])
@@ -347,7 +339,6 @@ def next_measurements(
     diagnosis: Diagnosis,
     *,
     always: bool = False,
-    noise: float | None = None,
     scatter: float = SCATTER,
     executor: Executor | None = None,
     notify: Callable[[str], None] = lambda text: None,
@@ -355,10 +346,11 @@ def next_measurements(
     """Tests of the plate that the leading cause is about, the most informative first.
 
     Another edge condition, four more modes, a known mass at a corner and at the centre, a sister plate of
-    the same material, weighing and gauging. always : also where nothing is wrong or the cause is named.
-    noise : relative standard deviation of a frequency in them; left out, that of the list or, where it was
-    inferred, what each hypothesis says of it. Every hypothesis predicts the data from its own posterior.
-    executor : where that is done.
+    the same material, weighing and gauging. Every hypothesis predicts the data from its own posterior, with
+    the noise of the list or, where it was inferred, what the hypothesis says of it.
+
+    always : also where nothing is wrong or the cause is named
+    executor : where that is done
     """
     if _is_settled(diagnosis) and not always:
         return ()
@@ -369,7 +361,7 @@ def next_measurements(
     last = max(int(t.marginal.comparison.model.parts[about].modes.max()) for t in leading)
     tests = further_tests(diagnosis.cases, about, last, scatter)
     notify(f"predicting {len(tests)} further tests")
-    asked = _Asked(diagnosis.cases, about, last, scatter, noise, leading)
+    asked = _Asked(diagnosis.cases, about, last, scatter, leading)
     items = [(asked, number) for number in range(len(tests))]
     predicted = shared_out(_candidate, diagnosis.cases, items, executor, common=asked)
     candidates = []
@@ -397,16 +389,14 @@ class _Asked:
     about: int
     last_mode: int
     scatter: float
-    noise: float | None
     leading: tuple[Tested, ...]
 
 
-def _candidate(item: tuple[_Asked, int]) -> Candidate | None:
+def _candidate(asked: _Asked, number: int) -> Candidate | None:
     """The information of the test of some number, ``None`` where it cannot be predicted."""
-    asked, number = item
     test = further_tests(asked.cases, asked.about, asked.last_mode, asked.scatter)[number]
     try:
-        outlook = outlook_of(asked.leading, asked.cases[asked.about], test.prepare(), asked.noise)
+        outlook = outlook_of(asked.leading, asked.cases[asked.about], test.prepare())
     except RigidBodyError:
         return None
     return Candidate(test.name, test.description, *information(outlook))
@@ -479,7 +469,7 @@ def _entropies(p: Array) -> Array:
     return np.asarray(-np.sum(p * np.log(np.maximum(p, 1e-300)), axis=-1))
 
 
-def outlook_of(leading: Sequence[Tested], case: PlateCase, predict: Predict, noise: float | None) -> Outlook:
+def outlook_of(leading: Sequence[Tested], case: PlateCase, predict: Predict) -> Outlook:
     """The data of a test under each hypothesis, as relative deviations from what the first one predicts."""
     means, covariances = [], []
     unit: Array | None = None
@@ -494,7 +484,7 @@ def outlook_of(leading: Sequence[Tested], case: PlateCase, predict: Predict, noi
         if prediction.noise is not None:
             noise_variance = prediction.noise**2
         else:
-            noise_variance = _noise(t, case, unit, noise, prediction.as_now)
+            noise_variance = _noise(t, case, unit, prediction.as_now)
         spread = (y - mean).T @ ((y - mean) * weight[:, None])
         covariances.append(spread + np.diag(noise_variance) + prediction.missing)
         means.append(mean)
@@ -507,14 +497,12 @@ def outlook_of(leading: Sequence[Tested], case: PlateCase, predict: Predict, noi
     )
 
 
-def _noise(t: Tested, case: PlateCase, f: Array, noise: float | None, as_now: bool) -> Array:
+def _noise(t: Tested, case: PlateCase, f: Array, as_now: bool) -> Array:
     """Relative variance of frequencies (n,) beyond the spread of the draws."""
     comparison, measurement = t.marginal.comparison, case.measurement
     weight = np.exp(t.marginal.log_weight)
     weight /= weight.sum()
-    if noise is not None:
-        variance = noise**2
-    elif measurement.frequency_sd is not None:
+    if measurement.frequency_sd is not None:
         variance = float(np.mean((measurement.frequency_sd / measurement.frequencies) ** 2))
     elif measurement.relative_std is not None:
         variance = measurement.relative_std**2

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from cpam_bayes.diagnosis.evidence.marginal import Marginal, ShiftTable
@@ -15,8 +13,7 @@ from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.effects import scale_of
 from cpam_bayes.inference.log_density import LogDensity, kept_of
 from cpam_bayes.mechanics.modes import RigidBodyError
-
-Array = NDArray[Any]
+from cpam_bayes.mechanics.problem import Array
 
 # Two causes are distinguished below this cosine of their visible signatures.
 ALIKE = 0.95
@@ -61,15 +58,11 @@ class Projector:
 
     With A the derivatives of the frequencies over the scores and C the covariance by the tolerances, both in
     units of the noise, the data's precision with these integrated is (I + C + A A^T)^-1. root : (n_f, n_f)
-    its square root. absorb : (n, n_f), the scores that imitate a shift.
+    its square root, times a shift what is left of it. absorb : (n, n_f), the scores that imitate a shift.
     """
 
     root: Array
     absorb: Array
-
-    def visible(self, shift: Array) -> Array:
-        """The part of a shift (n_f,) that is left."""
-        return np.asarray(self.root @ shift)
 
 
 def projector_of(none: Marginal) -> Projector:
@@ -118,7 +111,7 @@ def signature_of(tested: Tested, none: Marginal, projector: Projector) -> Signat
     sigma = np.sqrt(none.comparison.variance(none.best[None])[0])
     listed = none.comparison.listed.frequencies
     shift = (f[1] - f[0]) / sigma
-    visible = projector.visible(shift)
+    visible = projector.root @ shift
     whole = float(np.linalg.norm(shift))
     fraction = float(np.linalg.norm(visible)) / whole if whole > 0.0 else 0.0
     return Signature(
@@ -157,8 +150,7 @@ def compared_by_fits(
 ) -> dict[str, Tested]:
     """The causes whose fits are compared.
 
-    Causes that hardly have any probability are left out, but for those with the signature of the leading
-    one, and for another material: its wide prior alone makes it improbable.
+    Improbable ones are left out, but for those with the signature of the leading one, and another material.
 
     best : best variant of every cause
     by_signature : by cause, those with equal visible signatures
@@ -181,10 +173,9 @@ def with_equal_fits(
 ) -> dict[str, tuple[str, ...]]:
     """The causes that cannot be told from each one: those with its signature, and those that fit as well.
 
-    Signatures are compared where an effect is small. A gross one may be imitated by another that moves the
-    constants far: whatever the sizes were believed to be, the data prefer neither by more than e^2. And it
-    may be told from one with its signature: at any size that fits worse by more than e^7, and its probability
-    is no more than 0.01 of the other's.
+    A gross effect may be imitated by another that moves the constants far: the data prefer neither by more
+    than e^2. And it may be told from one with its signature, which fits worse by more than e^7 at any size
+    and is less probable by a factor of 0.01.
 
     by_signature : by cause, those with equal visible signatures
     peak : largest log likelihood of the causes whose fits are compared
@@ -222,8 +213,7 @@ class Menu:
 def nearest_of(visible: Array, target: Array) -> int:
     """Index of the visible shift, of some (k, n_f), that is nearest to one (n_f,).
 
-    Those that are hardly there are passed over: they have no direction. A cause that can only do the
-    opposite is met where it begins to be seen.
+    Those that are hardly there are passed over: they have no direction.
     """
     norm = np.linalg.norm(visible, axis=1)
     there = norm >= HARDLY * np.linalg.norm(target)

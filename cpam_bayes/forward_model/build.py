@@ -10,7 +10,6 @@ from threading import Lock
 from typing import Any, Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.model import (
     PlateModel,
@@ -21,14 +20,12 @@ from cpam_bayes.forward_model.model import (
 )
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS, ReducedModel, ReductionSettings, reduce
 from cpam_bayes.mechanics.affine import AffineOperator
-from cpam_bayes.mechanics.problem import THEORY_ALONE, Bias
+from cpam_bayes.mechanics.problem import THEORY_ALONE, Array, Bias
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Measurement, Specimen
-from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, ShearModel
 from cpam_bayes.running import single_blas_thread
 from cpam_bayes.storage import name_unused_models
 
-Array = NDArray[Any]
 T = TypeVar("T")
 
 # Error of a basis over the least noise, and between which it lies.
@@ -56,7 +53,6 @@ def model_key(
     specimen: Specimen,
     parameters: ParameterSet,
     n_modes: int,
-    shear: ShearModel,
     settings: ReductionSettings,
     centre: Array | None,
 ) -> str:
@@ -77,7 +73,6 @@ def model_key(
         "parameters": [[p.name, repr(p.prior)] for p in parameters.parameters],
         "fixed": sorted(parameters.fixed),
         "n_modes": n_modes,
-        "shear": shear.factor,
         "settings": asdict(settings),
         "centre": None if centre is None else [repr(float(c)) for c in centre],
     }
@@ -116,7 +111,6 @@ def reduced_model(
     parameters: ParameterSet,
     n_modes: int,
     *,
-    shear: ShearModel = ENERGY_CONSISTENT,
     settings: ReductionSettings = DEFAULT_SETTINGS,
     centre: Array | None = None,
     near: Neighbour | None = None,
@@ -126,12 +120,11 @@ def reduced_model(
     """The reduced model of a specimen over the prior box of its parameters.
 
     bias : of the theory, where measured frequencies are compared with it
-
     centre : the parameter vector about which the plate model is converged most tightly, by default
     the reference constants. near : where it suits the plate is not converged anew, with the neighbour's
     error. ``notify`` is called with what takes long. The same request gives the same model.
     """
-    key = f"{model_key(specimen, parameters, n_modes, shear, settings, centre)} {bias}"
+    key = f"{model_key(specimen, parameters, n_modes, settings, centre)} {bias}"
     with _lock:
         is_made = key in _made
     if near is not None and (is_made or not near.suits(specimen, parameters, n_modes)):
@@ -140,9 +133,9 @@ def reduced_model(
     def make() -> ReducedModel:
         notify("converging the plate model")
         if near is None or near.model.basis is None:
-            full = converged_model(specimen, parameters, n_modes, shear, centre=centre)
+            full = converged_model(specimen, parameters, n_modes, centre=centre)
         else:
-            problem = plate_problem(specimen, parameters, shear)
+            problem = plate_problem(specimen, parameters)
             samples = convergence_samples(specimen, problem, centre).x
             full = model_on_basis(problem, samples, n_modes, near.model.error, near.model.basis)
         notify("building the reduced model")
@@ -180,9 +173,7 @@ class Neighbour:
         )
 
     def _key_of(self, specimen: Specimen) -> str:
-        return model_key(
-            specimen, specimen.unknowns, self.model.n_modes, ENERGY_CONSISTENT, DEFAULT_SETTINGS, None
-        )
+        return model_key(specimen, specimen.unknowns, self.model.n_modes, DEFAULT_SETTINGS, None)
 
 
 def without_matrices(reduced: ReducedModel) -> ReducedModel:

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.model import ForwardModel, Prediction
 from cpam_bayes.forward_model.reduced import ReducedModel, basis_error, focused
-from cpam_bayes.mechanics.problem import Values
+from cpam_bayes.mechanics.problem import Array, Values
 from cpam_bayes.parameters import ParameterSet
-
-Array = NDArray[Any]
 
 _STEP = 1e-30
 # Vectors of a block from which on a second projection pays.

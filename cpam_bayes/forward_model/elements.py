@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.model import PlateModel, plate_problem
 from cpam_bayes.mechanics.fem import (
@@ -19,11 +17,9 @@ from cpam_bayes.mechanics.fem import (
     fem_space_from_mesh,
 )
 from cpam_bayes.mechanics.modes import solve
-from cpam_bayes.mechanics.problem import Problem
+from cpam_bayes.mechanics.problem import Array, Problem
 from cpam_bayes.plate import Specimen
 from cpam_bayes.running import single_blas_thread
-
-Array = NDArray[Any]
 
 # Frequencies of the element converge like its size to this power.
 _RATE = 4
@@ -34,9 +30,8 @@ _COARSER = 2
 class ElementModel:
     """A plate on finite elements at its reference constants.
 
-    specimen : as computed; where a plate with a mesh was weighed, its density follows from the area of the
-    mesh.
-    model : its error is NaN where it is not known, as on a mesh from a file.
+    specimen : as computed; the density of a weighed plate follows from the area of its mesh
+    model : its error is NaN where it is not known, as on a mesh from a file
     """
 
     specimen: Specimen
@@ -47,9 +42,6 @@ class ElementModel:
 @single_blas_thread
 def element_model(specimen: Specimen, n_modes: int) -> ElementModel:
     """Finite elements for a specimen with its reference constants.
-
-    A rectangle takes the default mesh, and the error of its frequencies from two coarser ones. A
-    mesh from a file is taken as it is, which leaves nothing to tell its error by.
 
     Raises ``ValueError`` for a layup with unknown angles, for a mesh that cannot be used, for a
     known mass that is not on the mesh and for more modes than the mesh has; ``RigidBodyError``

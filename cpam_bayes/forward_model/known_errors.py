@@ -1,18 +1,16 @@
 """Known errors of what a plate file states, and of the theory: what all frequencies of a list have in common.
 
-Sizes, mass and the scale of the analyser are not exact: a plate that is 1 % thicker than stated has higher
-frequencies, which stiffer constants repeat, and no fit can tell. What was weighed stays as weighed: a plate
-of other sizes has another density.
+What was weighed stays as weighed: a plate of other sizes has another density (docs/priors.md, Sizes and
+mass).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.effects.effect import FREQUENCY_SCALE as SCALE
 from cpam_bayes.forward_model.labels import LabelledModel
@@ -31,10 +29,9 @@ from cpam_bayes.forward_model.three_dimensions import (
     common_theory_errors,
     theory_powers,
 )
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Uniform
 from cpam_bayes.plate import Plate, Specimen
-
-Array = NDArray[Any]
 
 FREQUENCY_SCALE: Final = SCALE.name
 # Range of a size about its value in which its derivative is taken, relative.
@@ -80,8 +77,6 @@ def powers(
 ) -> Powers | None:
     """The powers at some constants, with their signs.
 
-    Parameters
-    ----------
     model : converged on a Ritz space; of another one nothing is known and None returned
     constants : unknown -> its value, SI
     order : (n_f,) mode of each frequency
@@ -166,8 +161,6 @@ def absorbed(
 
     The frequencies are weighed by the noise that the file states.
 
-    Parameters
-    ----------
     model, constants, order : as of ``powers``
     spread : unknown -> standard deviation of its prior, SI
     listed : (n_f,) numbers of the frequencies in the list; all of them if left out
@@ -239,13 +232,11 @@ class TolerantModel:
     model : with these numbers as the file has them
     tolerances : the numbers, normal about their values
     powers : (n_numbers, n_modes) P, as of ``powers``
-    by_rank : whether modes stand in ascending order, which close ones change with a size
     """
 
     model: ForwardModel
     tolerances: ParameterSet
     powers: Array
-    by_rank: bool
 
     @property
     def parameters(self) -> ParameterSet:
@@ -266,8 +257,9 @@ class TolerantModel:
         if found.jacobian is not None:
             by_number = f[:, :, None] * self.powers.T / x[:, None, n:]
             slopes = np.concatenate((found.jacobian * factor[:, :, None], by_number), axis=2)
-        if not self.by_rank:
+        if isinstance(self.model, LabelledModel):
             return Prediction(f, slopes)
+        # in ascending order, which close modes change with a size
         order = np.argsort(f, axis=1, kind="stable")
         f = np.take_along_axis(f, order, axis=1)
         return Prediction(
@@ -276,12 +268,10 @@ class TolerantModel:
 
 
 def tolerant(
-    specimen: Specimen, model: ReducedModel | LabelledModel, constants: Mapping[str, float], order: Array
+    specimen: Specimen, model: ReducedModel, constants: Mapping[str, float], order: Array
 ) -> ForwardModel:
     """A model with the usual tolerances of what the file leaves open.
 
-    Parameters
-    ----------
     constants : unknown -> its value where powers are taken, SI
     order : (n_modes,) mode at each place of the predictions
     """
@@ -301,7 +291,7 @@ def tolerant(
         tuple(_known_to(name, sizes[name], sd * sizes[name]) for name, sd in open_to.items())
     )
     changed = np.array([found.of_sizes[name] for name in open_to])
-    return TolerantModel(model, tolerances, changed, by_rank=not isinstance(model, LabelledModel))
+    return TolerantModel(model, tolerances, changed)
 
 
 def narrowed(model: ForwardModel, x: Array, tolerance: float) -> ForwardModel:

@@ -1,8 +1,6 @@
-"""Identity of modes: by labels and by measured shapes, followed through the parameters.
+"""Identity of modes: by labels and by measured shapes at the reference constants (docs/mode_shapes.md).
 
-A label is that of a mode at one place, the reference constants. Elsewhere the mode is the one whose
-shape is most like it, by modal assurance, so that modes which change their order keep their labels. A
-measured shape says the same of the mode that it is most like at the reference constants.
+Elsewhere a mode is the one whose shape is most like it, by modal assurance, whatever its rank.
 """
 
 from __future__ import annotations
@@ -10,25 +8,23 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 import scipy.optimize
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from cpam_bayes.answer import Notice
-from cpam_bayes.forward_model.model import PlateModel, Prediction, reference_vector
+from cpam_bayes.forward_model.model import Prediction, reference_vector
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.mechanics.modes import Mode, Spectrum
-from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.plate import Measurement, Specimen
 from cpam_bayes.plate.records import MeasuredShapes
 
 DEFAULT_MODES: Final = 10
 """Number of modes where none were measured."""
 
-Array = NDArray[Any]
 
 # Square of the error of a shape, relative to its size, that is usual: a MAC of 0.98 with its own mode.
 _USUAL_ERROR: Final = 0.02
@@ -121,9 +117,8 @@ def pair_by_assurance(
     A measured shape is its mode's times a factor plus an error in each of d directions, of one unknown size
     that is usually sqrt(0.02) of the shape: a Student-t, with
     p(shape i | mode j) ~ (0.02 + 1 - MAC_ij)^(-d/2). d is one less than the effective number of shapes that
-    the nodes tell apart, (sum s^2)^2 / sum s^4 of the singular values s of the predicted shapes: errors of
-    a model or of a test are smooth over a plate, so that further nodes add little. A shape whose assurance
-    is below 0.3 with all modes is none of them.
+    the nodes tell apart, (sum s^2)^2 / sum s^4 of the singular values s of the predicted shapes. A shape
+    whose assurance is below 0.3 with all modes is none of them.
 
     predicted : (k, 3, n_nodes) u, v, w of the candidates at the nodes
     Raises ``AmbiguousShapesError`` where no few pairings hold the probability.
@@ -261,7 +256,7 @@ class Alternative:
 
 
 @dataclass(frozen=True, slots=True)
-class LabelledModel:
+class LabelledModel(ReducedModel):
     """A reduced model whose modes stand where the list of frequencies has them.
 
     The mode of a labelled frequency stands at that frequency's own number, whatever its rank; the
@@ -276,42 +271,12 @@ class LabelledModel:
     by_shape : what measured shapes say, None where labels say it.
     """
 
-    reduced: ReducedModel
     rows: Array
     block: Array
     images: tuple[Array, ...]
     weights: tuple[Array, ...]
     alternatives: tuple[Alternative, ...] = ()
     by_shape: ShapePairing | None = None
-
-    @property
-    def full(self) -> PlateModel:
-        """The model on its full space, modes in ascending order."""
-        return self.reduced.full
-
-    @property
-    def fast(self) -> PlateModel:
-        """The projected model, modes in ascending order."""
-        return self.reduced.fast
-
-    @property
-    def tolerance(self) -> float:
-        """Relative error of a frequency that the basis was made to."""
-        return self.reduced.tolerance
-
-    @property
-    def n_modes(self) -> int:
-        """Number of modes predicted."""
-        return self.reduced.n_modes
-
-    @property
-    def parameters(self) -> ParameterSet:
-        """The parameters that vary, in the order of the vectors."""
-        return self.reduced.parameters
-
-    def admissible(self, x: Array) -> Array:
-        """True where parameter vectors (m, n) satisfy the constraints of the material, (m,) bool."""
-        return self.reduced.admissible(x)
 
     def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:
         """Frequencies at parameter vectors (m, n), in the places of the list, and derivatives."""
@@ -320,7 +285,7 @@ class LabelledModel:
         frequencies = self.fast.bias.of(np.take_along_axis(spectrum.frequencies, order, axis=1))
         if not jacobian:
             return Prediction(frequencies, None)
-        derivative = self.reduced.predict(x, jacobian=True).jacobian
+        derivative = self.fast.predict(x, jacobian=True).jacobian
         assert derivative is not None
         return Prediction(frequencies, np.take_along_axis(derivative, order[..., None], axis=1))
 
@@ -376,9 +341,7 @@ class LabelledModel:
         return assurance
 
 
-def labelled_model(
-    model: ReducedModel, measurement: Measurement, specimen: Specimen
-) -> ReducedModel | LabelledModel:
+def labelled_model(model: ReducedModel, measurement: Measurement, specimen: Specimen) -> ReducedModel:
     """The model with its modes in the places that the labels or the measured shapes of a list give them.
 
     The model itself where neither is given. Raises ``LabelError`` for a label that no mode of
@@ -406,16 +369,23 @@ def labelled_model(
         b, psi = spectrum.vector(0, int(j))
         blocks.append(b)
         images.append(weights[b] @ psi / np.sqrt(psi @ weights[b] @ psi))
-    return LabelledModel(model, rows, np.array(blocks), tuple(images), weights, alternatives, pairing)
+    return LabelledModel(
+        model.full,
+        model.fast,
+        model.tolerance,
+        rows,
+        np.array(blocks),
+        tuple(images),
+        weights,
+        alternatives,
+        pairing,
+    )
 
 
 def paired_shapes(
     shapes: MeasuredShapes, predicted: Array, modes: tuple[Mode, ...], specimen: Specimen
 ) -> ShapePairing:
-    """The pairing of measured shapes with predicted ones (k, 3, n_nodes).
-
-    Raises ``LabelError`` where they are like no mode or do not tell modes apart.
-    """
+    """That of measured and predicted shapes (k, 3, n_nodes), or ``LabelError``: they tell no modes apart."""
     where = f"{specimen.source}: measurement.shapes"
     try:
         pairing = pair_by_assurance(shapes, predicted, modes)
@@ -452,12 +422,12 @@ def _places(pairing: ShapePairing, n_modes: int) -> tuple[Array, Array, tuple[Al
     return followed, columns, tuple(alternatives) if len(alternatives) > 1 else ()
 
 
-def list_order(model: ReducedModel | LabelledModel, x: Array) -> Array:
+def list_order(model: ReducedModel, x: Array) -> Array:
     """Ranks of the modes in the places of the list at one parameter vector (n,), (n_modes,)."""
     return model.order(x)[0] if isinstance(model, LabelledModel) else np.arange(model.n_modes)
 
 
-def by_shape(model: ReducedModel | LabelledModel) -> ShapePairing | None:
+def by_shape(model: ReducedModel) -> ShapePairing | None:
     """The pairing of measured shapes with those of a model, None without them."""
     return model.by_shape if isinstance(model, LabelledModel) else None
 
@@ -537,8 +507,6 @@ def _columns(measurement: Measurement, modes: tuple[Mode, ...], source: str) -> 
         bearers.setdefault(same_label(mode.label), []).append(j)
     labels = [label for label in measurement.labels if label]
     given = Counter(same_label(label) for label in labels)
-    left = {label: iter(candidates) for label, candidates in bearers.items()}
-    columns = []
     for label in labels:
         candidates = bearers.get(same_label(label), [])
         in_list = sum(j < measurement.size for j in candidates)
@@ -552,8 +520,7 @@ def _columns(measurement: Measurement, modes: tuple[Mode, ...], source: str) -> 
                 f'as modes, or write "" where the mode is not known; the first {len(modes)} modes at the '
                 f"reference constants: {there}"
             )
-        columns.append(next(left[same_label(label)]))
-    return columns
+    return list(modes_of_labels(labels, modes).values())
 
 
 def _count(n: int, what: str) -> str:

@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any, Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.effects import add_air, add_known_mass
 from cpam_bayes.mechanics.affine import AffineOperator
@@ -24,14 +23,12 @@ from cpam_bayes.mechanics.modes import (
     shapes_on_grid,
     solve,
 )
-from cpam_bayes.mechanics.problem import Bias, PlateState, Problem, Values, bare_plate
+from cpam_bayes.mechanics.problem import Array, Bias, PlateState, Problem, Values, bare_plate
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import Parameter, ParameterSet, Prior, TruncatedLogNormal, TruncatedNormal, Uniform
 from cpam_bayes.plate import Hybrid, Material, Plate, Specimen, split_name
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, MaterialSymmetry, ShearModel, laminate_geometry
 from cpam_bayes.running import single_blas_thread
-
-Array = NDArray[Any]
 
 NO_PARAMETERS = ParameterSet(())
 SIZES = {"length": "m", "width": "m", "thickness": "m", "density": "kg/m3", "mass": "kg"}
@@ -52,8 +49,9 @@ _SIZE_RANGE, _SIZE_FACTOR = 5.0, 4.0
 _SHAPE_POINTS = 31
 # Step of the complex-step derivative, relative to a parameter: any small number does, no digits go.
 _STEP = 1e-25
-# A space is converged at constants this far from the centre, as a fraction.
-_NEIGHBOURHOOD = 0.3
+# A space is converged at so many sets of constants this far from the centre, as a fraction, and at so many
+# all over the prior box.
+_NEAR_SETS, _NEIGHBOURHOOD, _FAR_SETS = 2, 0.3, 3
 # Angles that unknown plies take in turn, beside those drawn from the prior.
 _SPECIAL_DEG = ((0.0,), (90.0,), (0.0, 90.0), (45.0, -45.0))
 # Elsewhere in the prior box its error may be this many times larger.
@@ -125,10 +123,9 @@ def _about_reference(parameter: Parameter, specimen: Specimen, cut: float) -> Pr
 
 
 def size_parameters(specimen: Specimen) -> ParameterSet:
-    """Sizes, density and mass of a specimen that are known to a standard deviation, SI.
+    """Sizes, density and mass of a specimen that are known to a standard deviation, SI, with normal priors.
 
-    Each has a normal prior about the value of the plate file, cut at five standard deviations and at
-    a quarter and four times the value.
+    Cut at five standard deviations, and at a quarter and four times the value of the plate file.
     """
     plate = specimen.plate
     parameters = []
@@ -177,15 +174,12 @@ def reference_constants(specimen: Specimen) -> dict[str, float]:
 
 
 def plate_problem(
-    specimen: Specimen,
-    parameters: ParameterSet = NO_PARAMETERS,
-    shear: ShearModel = ENERGY_CONSISTENT,
+    specimen: Specimen, parameters: ParameterSet = NO_PARAMETERS, shear: ShearModel = ENERGY_CONSISTENT
 ) -> Problem:
     """The plate of a specimen as an eigenvalue problem in some of its constants, angles and sizes.
 
     parameters : what varies; other constants keep their reference value, and those that are not given follow
-    from the others by the material's symmetry. Known masses keep their place in
-    proportion where a size varies.
+    by the material's symmetry. Known masses keep their place in proportion where a size varies.
 
     Raises ``ValueError`` if an unknown angle of the layup is not among the parameters.
     """
@@ -229,7 +223,7 @@ def _plate_state(
     return replace(state, layup=plate.layup.angles(angles))
 
 
-def _is_physical(material: Material | Hybrid, values: Values) -> NDArray[np.bool_]:
+def _is_physical(material: Material | Hybrid, values: Values) -> Array:
     shape = np.broadcast_shapes(*(np.shape(v) for v in values.values()))
     return np.broadcast_to(material.admissible(values), shape)
 
@@ -368,8 +362,7 @@ def biased(prediction: Prediction, bias: Bias) -> Prediction:
 def training_sets(problem: Problem, n: int, rng: np.random.Generator) -> Array:
     """Admissible parameter vectors that fill the prior box and its faces, (n, n_parameters).
 
-    Half are drawn from the prior, half with more weight on the bounds (a beta distribution with
-    both parameters 1/2), because an optimum often sits on one.
+    Half are drawn from the prior, half from Beta(1/2, 1/2), because an optimum often sits on a bound.
     """
     parameters = problem.parameters
     sets = np.empty((0, parameters.size))
@@ -389,8 +382,7 @@ _RELATED = 0.2
 def spread_out(problem: Problem, x: Array) -> Array:
     """Parameter vectors (m, n) spread where the prior box is narrow, so that coefficients show relations.
 
-    Over a side known to 0.1 % all its powers are one, to more digits than the softest mode of a thin clamped
-    plate leaves of the largest term.
+    Over a side known to 0.1 % all its powers are one to nearly all digits.
     """
     parameters = problem.parameters
     middle, half = 0.5 * (parameters.upper + parameters.lower), 0.5 * (parameters.upper - parameters.lower)
@@ -408,16 +400,13 @@ class Samples:
     allowance: Array
 
 
-def convergence_samples(
-    specimen: Specimen, problem: Problem, centre: Array | None = None, near: int = 2, far: int = 3
-) -> Samples:
+def convergence_samples(specimen: Specimen, problem: Problem, centre: Array | None = None) -> Samples:
     """A centre, neighbours within 30 % of its constants, and sets all over the prior box.
 
-    centre : (n_parameters,), by default the reference constants. Far from it the space need only be
-    good enough to tell that the data lie elsewhere. The seed is fixed, so that a model does not
-    depend on the run that first needs it. Angles are drawn from their prior; where there are unknown
-    ones the centre is also taken with all of them at 0, at 90, at both and at 45 and -45 deg, which the
-    prior almost never gives and where free edges are hardest.
+    centre : (n_parameters,), by default the reference constants. Far from it the space need only be good
+    enough to tell that the data lie elsewhere. The seed is fixed, so that a model does not depend on the run
+    that first needs it. Unknown angles are also taken at 0, 90, both, and 45 and -45 deg, where free edges
+    are hardest.
     """
     parameters = problem.parameters
     if not parameters.size:
@@ -426,7 +415,7 @@ def convergence_samples(
     middle = reference_vector(specimen, parameters) if centre is None else centre
     constants = reference_constants(specimen)
     samples: list[Array] = []
-    while len(samples) <= near:
+    while len(samples) <= _NEAR_SETS:
         x = parameters.sample(rng, 1)[0]
         for i, name in enumerate(parameters.names):
             if name in constants:
@@ -438,8 +427,8 @@ def convergence_samples(
         if problem.admissible(parameters.mapping(x)):
             samples.append(x)
     samples += _special_layups(specimen, parameters, samples[0])
-    everywhere = training_sets(problem, far, rng)
-    allowance = np.concatenate((np.ones(len(samples)), np.full(far, _FAR_ALLOWANCE)))
+    everywhere = training_sets(problem, _FAR_SETS, rng)
+    allowance = np.concatenate((np.ones(len(samples)), np.full(_FAR_SETS, _FAR_ALLOWANCE)))
     return Samples(np.concatenate((samples, everywhere)), allowance)
 
 
@@ -463,20 +452,18 @@ def converged_model(
     shear: ShearModel = ENERGY_CONSISTENT,
     tolerance: Tolerance | None = None,
     centre: Array | None = None,
-    near: int = 2,
-    far: int = 3,
 ) -> PlateModel:
     """The plate of a specimen on a Ritz space that is converged about given constants.
 
     parameters : what varies (``NO_PARAMETERS`` for the reference constants alone).
-    centre, near, far : as in ``convergence_samples``.
+    centre : as in ``convergence_samples``.
 
     Raises ``ValueError`` for a plate with a mesh.
     """
     if specimen.plate.mesh is not None:
         raise ValueError(f"{specimen.source}: the Ritz space is of a rectangle, not of {specimen.plate.mesh}")
     problem = plate_problem(specimen, parameters, shear)
-    samples = convergence_samples(specimen, problem, centre, near, far)
+    samples = convergence_samples(specimen, problem, centre)
     converged = converge(problem, parameters.mapping(samples.x), n_modes, tolerance, samples.allowance)
     basis = (converged.settings, converged.keep)
     return PlateModel(converged.operator, n_modes, converged.error, basis)
@@ -498,8 +485,7 @@ def model_on_basis(
 def discretisation_error(model: PlateModel, x: Array) -> Array:
     """Estimated relative error of the frequencies of a model at one parameter vector, (n_modes,).
 
-    The model's frequencies against those of a space converged at this very place, plus the error of
-    that space. It holds where the model was not converged for, at the end of a search for instance.
+    Against those of a space converged at this very place, plus the error of that space.
     """
     x = np.atleast_2d(x)
     problem = model.operator.problem
@@ -518,17 +504,16 @@ _MODES = 6
 
 
 @single_blas_thread
-def air_shifts(specimen: Specimen, n_modes: int | None = None) -> NDArray[np.float64] | None:
+def air_shifts(specimen: Specimen) -> Array | None:
     """Relative changes of the lowest frequencies, f_air / f_vacuum - 1, (n_modes,).
 
-    At the reference constants, in air of 1.2 kg/m3, by default for as many modes as were measured. None
+    At the reference constants, in air of 1.2 kg/m3, for as many modes as were measured. None
     where air is in the model already, for a mesh from a file, for unknown angles, and where bending cannot
     be distinguished from rounding.
     """
     if specimen.air_density or specimen.plate.mesh is not None or specimen.plate.layup.n_unknown:
         return None
-    if n_modes is None:
-        n_modes = _MODES if specimen.measurement is None else specimen.measurement.size
+    n_modes = _MODES if specimen.measurement is None else specimen.measurement.size
     bare = plate_problem(replace(specimen, air_density=None), NO_PARAMETERS)
     mass_terms = len(bare.forms("mass"))
     problem = add_air(bare, ROOM_AIR)

@@ -1,11 +1,4 @@
-"""Checks of a plate file against what can be computed or believed: refused, or warned of.
-
-A list that no constants within the bounds come near is refused before any work, with the likely cure.
-
-Slips in a plate file that ruin the answer, with the likely cure, each a sentence above the answer.
-
-What may be meant, but rarely is. Lists that no plate of the file can have are refused (`reachable`).
-"""
+"""Checks of a plate file against what can be computed or believed: refused, or warned of, with a cure."""
 
 from __future__ import annotations
 
@@ -16,7 +9,6 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from cpam_bayes.answer import Notice, Severity
@@ -25,6 +17,7 @@ from cpam_bayes.formatting import listed, significant
 from cpam_bayes.forward_model.model import NO_PARAMETERS, plate_problem, reference_constants
 from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.modes import RigidBodyError, solve
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Material, Measurement, Specimen, joined_name, unit_of
@@ -44,7 +37,7 @@ SUSPICIOUS_RATIO = 3.0
 _THIN = 300.0
 
 # Prediction over measurement -> the slips that make it so. A frequency goes as h / sqrt(density) or, of a
-# plate that was weighed, as h sqrt(h / mass): what a wrong thickness does differs.
+# plate that was weighed, as h sqrt(h / mass).
 _CURES: Final = (
     (1000.0, "frequencies in kHz for Hz, or sizes in m for mm"),
     (31.6, "a mass in kg for g, a density in g/cm3 for kg/m3, or constants in MPa for GPa"),
@@ -96,10 +89,7 @@ def require_supported(
 
 def require_diagnosable(specimen: Specimen) -> Specimen:
     """Return the specimen, or raise `PlateFileError` if what is wrong with it cannot be asked for."""
-    problems = [
-        *_not_computed(specimen, rectangular_only("diagnose")),
-        *_unknown_angles(specimen),
-    ]
+    problems = [*_not_computed(specimen, rectangular_only("diagnose")), *_unknown_angles(specimen)]
     if specimen.measurement is None:
         problems.append("[measurement] is missing, nothing to be compared with the model")
     if not specimen.unknowns.size:
@@ -187,8 +177,7 @@ def require_paired_list(specimen: Specimen) -> Specimen:
 def exchange_notices(specimen: Specimen) -> tuple[Notice, ...]:
     """A notice where no frequency tells the two axes of orthotropic plies apart.
 
-    Exchanging them turns every ply by 90 degrees: to other angles, where these are unknown, or to the same
-    plate, if it is square with four equal edges.
+    Their angles are unknown, or the plate is square with four equal edges.
     """
     plate, unknowns, measurement = specimen.plate, specimen.unknowns, specimen.measurement
     square = plate.length == plate.width and len(set(plate.edges)) == 1
@@ -245,10 +234,7 @@ def require_number(name: str, value: object, most: float) -> None:
 
 @contextmanager
 def explained_failures(specimen: Specimen) -> Iterator[None]:
-    """Say what a user can do where the solver cannot tell bending from rounding.
-
-    Raises ``PlateFileError`` instead of the solver's ``RigidBodyError``.
-    """
+    """A `PlateFileError` with what a user can do in place of the solver's ``RigidBodyError``."""
     try:
         yield
     except RigidBodyError as error:
@@ -270,9 +256,7 @@ def likely_cure(ratio: float, *, weighed: bool) -> str:
     return f"the likely slip is {likely[0]}; check the units of the plate file"
 
 
-def units_notices(
-    ratio: NDArray[np.float64], *, weighed: bool, severity: Severity = "warning"
-) -> tuple[Notice, ...]:
+def units_notices(ratio: Array, *, weighed: bool, severity: Severity = "warning") -> tuple[Notice, ...]:
     """A notice where a predicted frequency is not even of the size of the measured one.
 
     ratio : predicted over measured frequencies. weighed : as of `likely_cure`.
@@ -302,8 +286,6 @@ def _raise(specimen: Specimen, problems: list[str]) -> None:
     if problems:
         raise PlateFileError(*(f"{specimen.source}: {problem}" for problem in problems))
 
-
-Array = NDArray[np.float64]
 
 # A list this many times outside what the bounds reach is refused; one that may lack its first modes, or
 # whose labels say which modes it holds, only where it is further away.
@@ -351,10 +333,7 @@ def require_reachable(specimen: Specimen) -> Specimen:
 
 
 def _require_no_motion_of_the_support(specimen: Specimen, lowest: float) -> None:
-    """Raise `LowFrequencyError` if the first frequencies are far below any that bends the plate.
-
-    lowest : Hz, the first frequency with all moduli at their lower bounds
-    """
+    """Raise `LowFrequencyError` for ones far below the lowest, Hz, with all moduli at their lower bounds."""
     assert specimen.measurement is not None
     f = specimen.measurement.frequencies
     unknown = bool(specimen.plate.layup.n_unknown)
@@ -525,8 +504,7 @@ def common_factor_slips(
 ) -> tuple[Notice, ...]:
     """All moduli far on one side of their references: a wrong size, mass or frequency scale, most likely.
 
-    Of a thin plate f^2 is proportional to E h^2 / rho, or E h^3 / m: an error of h, rho or m is a common
-    factor of all moduli, which no frequency shows.
+    Of a thin plate f^2 is proportional to E h^2 / rho, or E h^3 / m.
 
     estimates : modulus that the frequencies determine -> its estimate and standard deviation, Pa, without its
     reference as prior

@@ -1,8 +1,7 @@
 """A reduced model of a plate: principal directions of the modes of a few full solves.
 
-Projection leaves the affine sum as it is, only smaller, so a stack of parameter sets is solved at once. The
-basis for the whole prior box is checked on fresh full solves and grows where it represents them badly. On the
-part of the box where a posterior lies fewer directions say as much.
+Projection leaves the affine sum as it is, only smaller, so a stack of parameter sets is solved at once. On
+the part of the prior box where a posterior lies fewer directions say as much.
 """
 
 from __future__ import annotations
@@ -10,27 +9,17 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
-from cpam_bayes.forward_model.model import (
-    PlateModel,
-    Prediction,
-    model_on_basis,
-    spread_out,
-    training_sets,
-)
+from cpam_bayes.forward_model.model import PlateModel, Prediction, model_on_basis, spread_out, training_sets
 from cpam_bayes.mechanics.affine import AffineMatrix, AffineOperator, DenseBlock, DenseOperator, RitzBlock
 from cpam_bayes.mechanics.loaded import unloaded
 from cpam_bayes.mechanics.modes import check_rigid
-from cpam_bayes.mechanics.problem import rigid_body_count
+from cpam_bayes.mechanics.problem import Array, rigid_body_count
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate.edges import FIELDS
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,10 +100,9 @@ def reduce(
 ) -> ReducedModel:
     """A reduced model that holds over the prior box of a converged plate.
 
-    A wide basis comes from full solves at ``settings.training`` sets, with many modes beyond those
-    predicted: what a change of the plate makes of a mode is a sum of others. It is checked at fresh sets.
-    On it many more sets are solved, and the principal directions of their modes are the basis. Each of
-    the two is made to the tolerance; what the basis errs in an answer is computed there (``basis_error``).
+    A wide basis comes from full solves at ``settings.training`` sets, with many modes beyond those predicted.
+    On it many more sets are solved, and the principal directions of their modes are the basis. Each is
+    checked at fresh sets; what the basis errs in an answer is computed there (``basis_error``).
     """
     problem, tolerance = model.operator.problem, settings.tolerance
     many = training_sets(problem, max(_RELATIONS, settings.training), rng)
@@ -161,8 +149,10 @@ def focused(model: ReducedModel, x: Array, tolerance: float, fraction: float = 1
     """A reduced model projected once more, on the principal directions of its modes at points x (m, n).
 
     Each block keeps the fewest directions with which this ``fraction`` of its frequencies at x is within
-    ``tolerance``, relative, of that of ``model``.
+    ``tolerance``, relative, of that of ``model``. One whose modes were labelled stays as it is.
     """
+    if type(model) is not ReducedModel:  # the labelled shapes are those of its basis
+        return model
     known = _solved(model.fast, x, 0)
     directions = _directions(model.fast.operator, known)
     sizes = _sizes(directions, known, tolerance, fraction)
@@ -172,21 +162,20 @@ def focused(model: ReducedModel, x: Array, tolerance: float, fraction: float = 1
 def basis_error(model: ReducedModel, x: Array) -> Array:
     """Relative errors of the basis at parameter vectors (m, n), by as many full solves, (m, n_modes).
 
+    Of modes in ascending order.
     Matrices of the full space that a model was sent or kept without are made anew.
     """
     x, full = np.atleast_2d(x), model.full
     if not full.operator.blocks:
         assert full.basis is not None
         full = model_on_basis(full.operator.problem, x, full.n_modes, full.error, full.basis)
-    return np.asarray(np.abs(model.predict(x).frequencies / full.predict(x).frequencies - 1.0))
+    return np.asarray(np.abs(model.fast.predict(x).frequencies / full.predict(x).frequencies - 1.0))
 
 
 def compressed(operator: DenseOperator, stiffness: Array, mass: Array) -> DenseOperator:
     """The operator with as few terms as its coefficients have independent directions.
 
-    stiffness, mass : coefficients at many parameter sets (m, n_terms), which show the linear
-    relations between them. A fixed layup of orthotropic plies has six stiffness terms, a fixed
-    thickness and density one mass term.
+    stiffness, mass : coefficients at many parameter sets (m, n_terms), which show the relations between them
     """
     blocks = tuple(block.compressed(stiffness, mass) for block in operator.blocks)
     return AffineOperator(operator.problem, operator.space, blocks)
@@ -301,8 +290,7 @@ def _directions(
     """Every block on its rigid-body motions, counted, and the principal directions of its modes.
 
     Modes have the same energy; directions are principal in the energy of the first set, so that what is left
-    out of a mode is the error of its eigenvalue. Those with the largest part in all modes come first. One
-    after the other they are made orthonormal in the mass of that set.
+    out of a mode is the error of its eigenvalue. They are made orthonormal in the mass of that set.
     """
     projected = []
     shift = _SHIFT * known.ranked[0, known.n_rigid]

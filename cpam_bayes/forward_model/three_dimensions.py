@@ -1,10 +1,4 @@
-"""What three dimensions make of a frequency of first-order theory, and what is left open of that.
-
-Bricks show a bias that has a sign: with the wave in the thickness the theory is too soft. It is in every
-prediction that is compared with a measurement. At free edges of plies that differ the theory is too stiff, by
-how much in which mode is not known: there bricks scatter. Sandwich plates, stiff faces that bend by
-themselves about a soft core, are what first-order theory lacks.
-"""
+"""What three dimensions make of a frequency of first-order theory, and what is left open (docs/theory.md)."""
 
 from __future__ import annotations
 
@@ -12,15 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cpam_bayes.answer import Notice
 from cpam_bayes.forward_model.model import plate_problem, reference_constants
 from cpam_bayes.mechanics.modes import Mode
-from cpam_bayes.mechanics.problem import Bias, PlateState
+from cpam_bayes.mechanics.problem import Array, Bias, PlateState
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.edges import conditions
 from cpam_bayes.plate.laminate import (
@@ -32,8 +26,6 @@ from cpam_bayes.plate.laminate import (
     stiffness_invariants,
 )
 from cpam_bayes.plate.layup import Layup
-
-Array = NDArray[Any]
 
 THEORY_SHEAR: Final = "theory_shear"
 """The bias by shear, as the relative error of a mode of 1 kHz."""
@@ -57,21 +49,8 @@ def theory_bias(specimen: Specimen) -> Bias:
     b = 0.0085 w, w from `shear_frequency`: transverse shear across the thickness is not what the theory takes
     it for, which makes it too soft. The factor is known to a half, N(1, 0.5^2), see `common_theory_errors`.
 
-    It was measured on plates of 240 x 180 mm with ten modes by ``python studies/16_theory_error.py``, which
-    holds all plates. Root mean squares over modes of the Ritz model against extrapolated bricks, %, at a
-    thickness of 1/150, 1/50, 1/25 and 1/15 of the short side:
-
-    =================================== ===== ===== ===== =====
-    plate                               1/150 1/50  1/25  1/15
-    =================================== ===== ===== ===== =====
-    carbon, [0/90]_2s, free             0.004 0.017 0.055 0.126
-    carbon, [0], free                   0.012 0.015 0.066 0.138
-    carbon, [0/45/-45/90]_s, free       0.084 0.260 0.565 1.001
-    carbon, [45/-45]_2s, free           0.026 0.063 0.141 0.272
-    carbon, [0/90]_2s, one edge clamped 0.009 0.014 0.065 0.146
-    isotropic, free                     0.003 0.013 0.041 0.092
-    isotropic, one edge clamped         0.020 0.048 0.108 0.195
-    =================================== ===== ===== ===== =====
+    Measured by ``python studies/16_theory_error.py``: docs/theory.md, First-order theory against three
+    dimensions.
     """
     return Bias(_SHEAR * float(shear_frequency(specimen, 1.0)))
 
@@ -81,10 +60,7 @@ def common_theory_errors(specimen: Specimen) -> dict[str, float]:
 
     Half of the bias by shear, at 1 kHz, and a level by edges,
     (0.43 h / (a b) sum_free L q)^2 + (0.012 h / (a b) sum_clamped L)^2, L the length of an edge and q its
-    `edge_layer`: near a free edge plies that differ shear on each other, which makes the plate softer. Which
-    modes that takes most depends on the layup (bricks show -0.1 to -0.9 % on one plate), so the level has no
-    sign: taken for one it went into the constants. A real clamp is softer than an ideal one, which is a cause
-    of its own.
+    `edge_layer`. Which modes that takes most depends on the layup, so the level has no sign.
     """
     bias, (free, clamped) = theory_bias(specimen), edge_sums(specimen)
     level = float(np.hypot(_FREE_EDGES * free, _CLAMPS * clamped))
@@ -142,12 +118,10 @@ def shear_frequency(specimen: Specimen, frequencies: ArrayLike) -> Array:
 def edge_layer(specimen: Specimen, axis: int) -> float:
     """Strain energy that a free edge across an axis (0: x, 1: y) releases, over that of bending along it.
 
-    A bending moment along the edge leaves stresses in the plies there whose resultants vanish but not
-    they themselves. Interlaminar shear takes them away over a width d: a d + b / d is least at
-    2 (a b)^1/2, with a the energy of those stresses and b that of the shear forces between plies that
-    balance them (Pipes and Pagano, Journal of Composite Materials 4, 1970, for a strip in tension). Here
-    (a b)^1/2 is given in units of the bending energy and of the thickness. It vanishes where all plies
-    are alike.
+    A bending moment along the edge leaves stresses in the plies there whose resultants vanish. Interlaminar
+    shear takes them away over a width d: a d + b / d is least at 2 (a b)^1/2, with a the energy of those
+    stresses and b that of the shear forces between plies that balance them (Pipes and Pagano, Journal of
+    Composite Materials 4, 1970). Here (a b)^1/2, in units of the bending energy and of the thickness.
     """
     plies = _moduli(reference_constants(specimen), specimen.plate.layup)
     ply = np.empty((len(plies.g13), 3, 3))
@@ -211,9 +185,7 @@ LIMIT: Final = 0.05
 
 
 def sandwich_error(
-    specimen: Specimen,
-    frequencies: ArrayLike,
-    constants: Mapping[str, ArrayLike] = MappingProxyType({}),
+    specimen: Specimen, frequencies: ArrayLike, constants: Mapping[str, ArrayLike] = MappingProxyType({})
 ) -> Array:
     """By how much first-order theory makes the bending frequencies of a sandwich too low, (n,), relative.
 

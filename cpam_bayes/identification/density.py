@@ -17,8 +17,8 @@ from itertools import pairwise
 import numpy as np
 
 from cpam_bayes.forward_model.composed import ComposedModel, Part
-from cpam_bayes.forward_model.known_errors import Array, common_covariance, common_errors
-from cpam_bayes.forward_model.labels import LabelledModel, list_order
+from cpam_bayes.forward_model.known_errors import common_covariance, common_errors
+from cpam_bayes.forward_model.labels import list_order
 from cpam_bayes.forward_model.preconditions import birge_ratio
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.three_dimensions import theory_error
@@ -33,10 +33,9 @@ from cpam_bayes.inference.proposal import (
     maximised,
     refitted_moments,
 )
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
 from cpam_bayes.plate import Measurement, Specimen
-
-Model = ReducedModel | LabelledModel
 
 # Noise that residuals are weighed by where none is stated, relative.
 _USUAL_NOISE = 0.002
@@ -47,7 +46,7 @@ _ROUNDS = Rounds(log2_points=8, most=10, least=3, enough=600.0)
 _STEPS, _PROMISED = 40, 1e-9
 
 
-def scatter(specimen: Specimen, model: Model, x: Array, error: Array | None = None) -> Array:
+def scatter(specimen: Specimen, model: ReducedModel, x: Array, error: Array | None = None) -> Array:
     """Relative standard deviation of the mode at each place by solver and first-order theory, (n_modes,).
 
     error : (n_modes,) of the solver at x, in ascending order of the modes; that of the model if left out
@@ -63,7 +62,7 @@ def noise_variance(measurement: Measurement, relative: float) -> Array:
     return np.asarray(measurement.noise_sd(stated) ** 2 + measurement.resolution**2 / 12.0)
 
 
-def residual_sd(specimen: Specimen, model: Model, x: Array) -> Array:
+def residual_sd(specimen: Specimen, model: ReducedModel, x: Array) -> Array:
     """Standard deviation of each frequency where sizes are as stated, at constants x (n,), (n_f,) Hz."""
     measurement = specimen.measurement
     assert measurement is not None
@@ -136,7 +135,7 @@ def sampled(density: LogDensity, optima: Optima, n: int) -> Draws:
 
 
 def lists_density(
-    lists: Sequence[tuple[Specimen, Model]], at: Array, scatter_sd: float
+    lists: Sequence[tuple[Specimen, ReducedModel]], at: Array, scatter_sd: float
 ) -> tuple[LogDensity, Array]:
     """The density of lists of one material, and the factors by which their stated noise is widened, (l,).
 

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.answer import Constant, Notice, Reliance
-from cpam_bayes.forward_model.labels import LabelledModel, list_order
+from cpam_bayes.forward_model.labels import list_order
 from cpam_bayes.forward_model.model import constant_parameters, discretisation_error, plate_problem
-from cpam_bayes.forward_model.reduced import basis_error
+from cpam_bayes.forward_model.reduced import ReducedModel, basis_error
 from cpam_bayes.forward_model.three_dimensions import theory_bias
-from cpam_bayes.identification.density import Model, lists_density, optima_about, sampled
+from cpam_bayes.identification.density import lists_density, optima_about, sampled
 from cpam_bayes.identification.point import reliances, sampled_constants
 from cpam_bayes.identification.search import MOST_SWARMS, required, search, shifted
 from cpam_bayes.inference.swarm import SwarmSettings
@@ -116,7 +116,7 @@ def estimate_jointly(
     """
     start, settings = time.perf_counter(), settings or SwarmSettings()
     unknowns = constant_parameters(specimens[0])
-    lists: list[tuple[Specimen, Model]] = []
+    lists: list[tuple[Specimen, ReducedModel]] = []
     at, starts, solves = [], [], 0
     for i, of_file in enumerate(specimens):
         specimen = replace(of_file, unknowns=unknowns)
@@ -171,15 +171,14 @@ def _rms(predicted: Array, measured: Array) -> float:
 
 
 def _fit(
-    specimen: Specimen, model: Model, constants: Array, amplitude: float, misfit: float, alone: float
+    specimen: Specimen, model: ReducedModel, constants: Array, amplitude: float, misfit: float, alone: float
 ) -> ListFit:
     """The list of a specimen at its constants (n,); amplitude : of the noise, nan where it is stated."""
     measurement, unknowns = required(specimen)
     order = list_order(model, constants)[: measurement.size]
     modes = model.full.modes(constants)
     predicted = tuple(modes[j] for j in order)
-    reduced = model.reduced if isinstance(model, LabelledModel) else model
-    error = discretisation_error(model.full, constants) + basis_error(reduced, constants)[0]
+    error = discretisation_error(model.full, constants) + basis_error(model, constants)[0]
     inferred = math.isfinite(amplitude)
     stated = measurement.noise_sd(measurement.relative_std or 0.0) / measurement.frequencies
     state = plate_problem(specimen, unknowns).state(unknowns.mapping(constants))

@@ -18,7 +18,6 @@ from scipy.stats import chi2, t
 from cpam_bayes.answer import Constant, Notice, Reliance, Verdict, as_written
 from cpam_bayes.forward_model.known_errors import ScaleError, absorbed, sizes_spread
 from cpam_bayes.forward_model.labels import (
-    LabelledModel,
     ShapePairing,
     by_shape,
     list_order,
@@ -219,10 +218,9 @@ def summarise(
     """Summary of the best optimum of a search for an engineer."""
     measurement, unknowns = required(specimen)
     model, swarm = searched.model, searched.swarm
-    reduced = model.reduced if isinstance(model, LabelledModel) else model
     posterior = _about_optima(specimen, searched) if residual == "whitened" else None
     best = swarm.best if posterior is None else posterior.optima[0].x
-    error = searched.error + basis_error(reduced, best)[0]
+    error = searched.error + basis_error(model, best)[0]
     prediction = model.full.predict(best, jacobian=True)
     order = list_order(model, best)[: measurement.size]
     modes = model.full.modes(best)
@@ -284,7 +282,7 @@ def summarise(
         misfit=excess,
         error=error[order],
         laminate=flexural_constants(np.real(state.stiffness()), float(state.thickness)),
-        model=reduced,
+        model=ReducedModel(model.full, model.fast, model.tolerance),
         centre=searched.centre,
         swarm=swarm,
         swarms=searched.swarms,

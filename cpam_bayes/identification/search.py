@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from cpam_bayes.errors import checked
 from cpam_bayes.forward_model.build import Neighbour, basis_tolerance, reduced_model
 from cpam_bayes.forward_model.known_errors import tolerant
-from cpam_bayes.forward_model.labels import LabelledModel, labelled_model, list_order, spare_modes
+from cpam_bayes.forward_model.labels import labelled_model, list_order, spare_modes
 from cpam_bayes.forward_model.model import (
     discretisation_error,
     reference_vector,
@@ -47,7 +47,6 @@ NO_MESH: Final = (
 
 Array = NDArray[Any]
 Residual = Literal["absolute", "relative", "whitened"]
-Model = ReducedModel | LabelledModel
 
 # Swarms at most, at least, and how many of them have to find the best optimum.
 MOST_SWARMS, LEAST_SWARMS, FOUND_AGAIN = 12, 3, 2
@@ -92,7 +91,7 @@ class Search:
     swarms : number that were run
     """
 
-    model: Model
+    model: ReducedModel
     swarm: SwarmResult
     error: Array
     centre: Array | None
@@ -185,7 +184,7 @@ class _Task:
     """The objective of a swarm."""
 
     specimen: Specimen
-    model: Model
+    model: ReducedModel
     measurement: Measurement
     unknowns: ParameterSet
     settings: SwarmSettings
@@ -430,7 +429,7 @@ class Start:
     """
 
     posterior: Posterior
-    model: ReducedModel | LabelledModel
+    model: ReducedModel
     bests: Array
     values: Array
     solves: int
@@ -493,7 +492,7 @@ def _bias_of(specimen: Specimen, likelihood: Likelihood) -> Bias:
 
 def _posterior_about(
     specimen: Specimen,
-    model: Model,
+    model: ReducedModel,
     at: Array,
     error: Array,
     likelihood: Likelihood,

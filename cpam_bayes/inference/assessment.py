@@ -5,10 +5,9 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.answer import Notice
 from cpam_bayes.inference.completeness import Profile, profile_likelihoods
@@ -16,10 +15,9 @@ from cpam_bayes.inference.derivatives import prior_sd
 from cpam_bayes.inference.ensemble import EnsembleResult
 from cpam_bayes.inference.pairing import Pairing
 from cpam_bayes.inference.posterior import Posterior
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Constraint, Hybrid, Material
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +54,8 @@ def weighted_jacobian(posterior: Posterior, x: Array, pairing: Pairing) -> Array
     assert prediction.jacobian is not None
     rows, columns = paired(pairing)
     sigma = posterior.noise(x[None], prediction.frequencies)[0, rows, columns]
-    weight = np.sqrt(information(posterior.degrees_of_freedom))
+    weight = np.sqrt(posterior.noise_model.information)
     return np.asarray(weight * prediction.jacobian[0, columns] / sigma[:, None] * prior_sd(posterior)[:n])
-
-
-def information(degrees_of_freedom: float) -> float:
-    """Fisher information of the location of a standardised residual."""
-    nu = degrees_of_freedom
-    return 1.0 if np.isinf(nu) else (nu + 1.0) / (nu + 3.0)
 
 
 def paired(pairing: Pairing) -> tuple[Array, Array]:
@@ -77,8 +69,7 @@ def combinations(posterior: Posterior, x: Array, pairing: Pairing) -> tuple[Comb
 
     With the singular value decomposition A = U D V^T of the weighted Jacobian at x, the frequencies
     measure v^T (p - x) / prior sd with sd 1 / d. Since dp = x dln p, that is the logarithm of a product
-    of powers v_k x_k / sd_k. Scaling by the priors makes the decomposition the one in which the
-    prior (as a Gaussian of the same spread) and the data are both diagonal.
+    of powers v_k x_k / sd_k.
     """
     n = posterior.model.parameters.size
     jacobian = weighted_jacobian(posterior, x, pairing)
@@ -159,10 +150,8 @@ def power_scaling(
     """Power-scaling sensitivity of every parameter (Kallioinen et al., 2023), by ``arviz_stats.psense``.
 
     The distance between the posterior p(theta) p(y | theta) and the one in which a factor has the power
-    a, per log2 a at a = 1, as cumulative Jensen-Shannon distance. The noise's prior is scaled apart
-    from the others: it pulls at every constant without being a statement about any. A uniform prior
-    is the same to every power and has the sensitivity 0: what it does it does by its bounds, which
-    ``moved_bounds`` moves.
+    a, per log2 a at a = 1, as cumulative Jensen-Shannon distance. The noise's prior is scaled apart from the
+    others. A uniform prior has the sensitivity 0: ``moved_bounds`` moves its bounds.
 
     draws (m, n) independent of each other; log_prior of all but the noise, log_noise_prior,
     log_likelihood (m,).
@@ -337,21 +326,20 @@ def leave_one_out(
     A (A^T A + R^-1)^-1 A^T, A the weighted Jacobian at the optimum, where the residuals are taken too, and R
     the correlation of the priors, mostly 1.
 
-    The noise stays as all modes together have it: a mode that is far off widens it a little, and its
-    standardised residual is that much too small. Student-t noise counts with the variance that gives
-    the same information for v and with its own variance in the prediction.
+    The noise stays as all modes together have it. Student-t noise counts with the variance that gives the
+    same information for v and with its own variance in the prediction.
 
     draws : (m, n).
     frequencies : (m, n_modes) predicted there, Hz.
     optimum : (n,).
     """
     rows, columns = paired(pairing)
-    nu = posterior.degrees_of_freedom
+    nu, information = posterior.degrees_of_freedom, posterior.noise_model.information
     measured = posterior.measurement.frequencies[rows]
-    wider = 1.0 if np.isinf(nu) else nu / (nu - 2.0) * information(nu)
+    wider = 1.0 if np.isinf(nu) else nu / (nu - 2.0) * information
     predicted = frequencies[:, columns]
     squared = np.mean(posterior.noise(draws, frequencies)[:, rows, columns] ** 2, axis=0)
-    squared /= information(nu)
+    squared /= information
     leverage = predicted.var(axis=0) / squared
     if np.all(leverage <= MOST_LEVERAGE):
         return cavity(measured - predicted.mean(axis=0), leverage, squared, "draws", wider)
@@ -359,7 +347,7 @@ def leave_one_out(
     hessian = jacobian.T @ jacobian + posterior.model.parameters.precision
     leverage = np.einsum("ij,ji->i", jacobian, np.linalg.solve(hessian, jacobian.T))
     there = posterior.predict(optimum[None])
-    squared = posterior.noise(optimum[None], there)[0, rows, columns] ** 2 / information(nu)
+    squared = posterior.noise(optimum[None], there)[0, rows, columns] ** 2 / information
     return cavity(measured - there[0, columns], leverage, squared, "optimum", wider)
 
 
@@ -440,8 +428,7 @@ class ThinnedDraws:
 def thinned(result: EnsembleResult) -> ThinnedDraws:
     """Draws of the ensembles, thinned by the autocorrelation time.
 
-    An ensemble is one chain, step by step with all its walkers: these move by each other's positions and are
-    no chains of their own, by which R-hat could tell that a sampler has not mixed.
+    An ensemble is one chain, step by step with all its walkers, which move by each other's positions.
     """
     step = max(1, int(np.ceil(result.diagnostics.autocorrelation_time)))
     chain = result.chain[:, ::step]
@@ -454,10 +441,8 @@ def assess(
 ) -> Assessment:
     """Assess a sampled posterior; ``constants`` are the parameters that have profiles.
 
-    Profiles reach far beyond the draws, so the posterior is that on the whole basis.
-
-    The Jacobian is that at the most probable draw, the noise its median there, since its most probable
-    value is too small where few frequencies are left over.
+    Profiles reach far beyond the draws, so the posterior is that on the whole basis. The Jacobian is that at
+    the most probable draw, the noise its median.
     """
     draws = thinned(result).flat
     best = result.draws[int(result.log_prob.argmax())].copy()

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cpam_bayes.forward_model.labels import LabelledModel, list_order
+from cpam_bayes.forward_model.labels import list_order
 from cpam_bayes.forward_model.model import ForwardModel, Prediction, reference_vector
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.inference.derivatives import Coordinates, Expansion, coordinates, expand_u
 from cpam_bayes.inference.laplace import laplace_log_evidence, maximise
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.mechanics.modes import Mode
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import ParameterSet, Uniform
 from cpam_bayes.plate import Specimen
-
-Array = NDArray[Any]
 
 # Log odds from which another pairing is far more probable.
 _DOUBTFUL_LOG_ODDS = float(np.log(100.0))
@@ -61,7 +58,7 @@ class TranscriptionError:
 
 
 def transcription_error(
-    specimen: Specimen, posterior: Posterior, model: ReducedModel | LabelledModel, best: Array
+    specimen: Specimen, posterior: Posterior, model: ReducedModel, best: Array
 ) -> TranscriptionError | None:
     """The transcription error that a specimen's list seems to have, ``None`` where it seems to have none.
 
@@ -95,14 +92,6 @@ class _Pairing:
 
 
 @dataclass(frozen=True, slots=True)
-class _Places:
-    """Parameters of the plate (m, n_plate) to start from; the first ``always`` are for every pairing."""
-
-    x: Array
-    always: int
-
-
-@dataclass(frozen=True, slots=True)
 class _Selected:
     """Some modes of a model."""
 
@@ -125,10 +114,9 @@ class _Selected:
 def alternative_pairing(posterior: Posterior, best: Array, others: Array) -> AlternativePairing | None:
     """The most probable single transcription error in a complete list, if it is far more probable than none.
 
-    Evidences by Laplace's method of the list paired one to one, with one mode of the model left out,
-    or with one frequency left out, at the prices of ``posterior.pairing``. More than 100 times as
-    probable counts as far. Labelled frequencies keep their modes. A list that ends too early cannot
-    be distinguished from a complete one.
+    Evidences by Laplace's method of the list paired one to one, with one mode of the model left out, or with
+    one frequency left out, at the prices of ``posterior.pairing``. More than 100 times as probable counts as
+    far. Labelled frequencies keep their modes.
 
     best : (n,) optimum of the posterior.
     others : (m, n_plate) further parameters to start from. The model must predict a mode more than there are
@@ -137,11 +125,11 @@ def alternative_pairing(posterior: Posterior, best: Array, others: Array) -> Alt
     n_plate = posterior.model.parameters.size
     draws = posterior.model.parameters.sample(np.random.default_rng(0), _DRAWS)
     draws = draws[posterior.model.admissible(draws)]
-    places = _Places(np.concatenate((best[None, :n_plate], others, draws)), 1 + len(others))
-    predicted = posterior.predict(places.x)
+    x = np.concatenate((best[None, :n_plate], others, draws))
+    predicted, always = posterior.predict(x), 1 + len(others)
     none, *alternatives = _pairings(posterior, predicted.shape[1])
-    reference = _evidence(posterior, none, places, predicted)[0]
-    candidates = [(*_evidence(posterior, pairing, places, predicted), pairing) for pairing in alternatives]
+    reference = _evidence(posterior, none, x, always, predicted)[0]
+    candidates = [(*_evidence(posterior, pairing, x, always, predicted), pairing) for pairing in alternatives]
     if not candidates:
         return None
     log_evidence, x, pairing = max(candidates, key=lambda f: f[0])
@@ -178,15 +166,18 @@ def _pairings(posterior: Posterior, n_modes: int) -> Iterator[_Pairing]:
 
 
 def _evidence(
-    posterior: Posterior, pairing: _Pairing, places: _Places, predicted: Array
+    posterior: Posterior, pairing: _Pairing, x: Array, always: int, predicted: Array
 ) -> tuple[float, Array]:
-    """Log evidence of a pairing with its price, and its optimum (n,)."""
+    """Log evidence of a pairing with its price, and its optimum (n,).
+
+    x : (m, n_plate) parameters of the plate to start from, the first ``always`` for every pairing
+    """
     paired = _paired(posterior, pairing)
     residuals = predicted[:, pairing.columns] - paired.measurement.frequencies
     misfit = np.sum((residuals / paired.measurement.frequencies) ** 2, axis=1)
     nearest = np.argsort(misfit, kind="stable")[:_STARTS]
-    chosen = np.union1d(np.arange(places.always), nearest)
-    starts = places.x[chosen]
+    chosen = np.union1d(np.arange(always), nearest)
+    starts = x[chosen]
     if paired.noise_is_inferred:
         noise = [paired.noise_model.suggested(residuals[i]) for i in chosen]
         starts = np.column_stack((starts, noise))
@@ -266,11 +257,9 @@ def profile_likelihoods(
 ) -> tuple[Profile, ...]:
     """Profile log likelihood of each of ``names`` on a grid (Raue et al., 2009).
 
-    pl(v) = max over the other parameters of log p(data | p) with p_k = v, within bounds and
-    constraints. Priors of ``names`` do not enter; those of the noise and of plate sizes do, being what
-    is known of them, the noise's over its logarithm. All grid points of all parameters are optimised together
-    (``maximise``), from the best draws near them and then from the ends of their neighbours on the grid.
-    What is found is a lower bound of the profile, as of any maximum.
+    pl(v) = max over the other parameters of log p(data | p) with p_k = v, within bounds and constraints.
+    Priors of ``names`` do not enter; those of the noise, over its logarithm, and of plate sizes do. All grid
+    points are optimised together, from the best draws near them and then from the ends of their neighbours.
 
     draws (m, n), log_prob (m,) : of the chains. The grid spans the draws, and the whole search
     interval where the prior is not uniform.

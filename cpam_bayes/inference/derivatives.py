@@ -7,17 +7,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.model import Prediction
 from cpam_bayes.inference.posterior import Posterior
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.priors import Priors
-
-Array = NDArray[Any]
 
 # Step of the complex-step derivative: any small number does, no digits go.
 _COMPLEX_STEP = 1e-30
@@ -136,11 +133,6 @@ def expand(posterior: Posterior, x: Array) -> Expansion:
     return Expansion(value, gradient, curvature)
 
 
-def information(posterior: Posterior, x: Array) -> Array:
-    """Fisher information of the data about the parameters at x (m, n), (m, n, n), as in ``expand``."""
-    return expand_likelihood(posterior, x).curvature
-
-
 def expand_u(posterior: Posterior, axes: Coordinates, u: Array) -> Expansion:
     """The expansion of the log density over u at points u (m, n)."""
     x = axes.to_x(np.atleast_2d(u))
@@ -207,7 +199,7 @@ def _one_to_one(posterior: Posterior, x: Array) -> Expansion:
         gradient[:, j] += density.imag.sum(axis=1) / _COMPLEX_STEP
         log_sigma[:, :, j] += sigma.imag / _COMPLEX_STEP / sigma_0
     nu = posterior.degrees_of_freedom
-    location, scale = (1.0, 2.0) if np.isinf(nu) else ((nu + 1.0) / (nu + 3.0), 2.0 * nu / (nu + 3.0))
+    location, scale = posterior.noise_model.information, 2.0 if np.isinf(nu) else 2.0 * nu / (nu + 3.0)
     weighted = slope / sigma_0[..., None]
     curvature = location * _gram(weighted) + scale * _gram(log_sigma)
     return Expansion(value, gradient, curvature)

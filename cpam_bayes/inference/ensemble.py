@@ -1,9 +1,8 @@
 """Ensemble sampling by emcee, started from the particle swarm: independent ensembles side by side, in rounds.
 
-After every round the chains are looked at: sampling ends when the ensembles agree (R-hat) and hold enough
-effective samples, or at a budget. Finished rounds are stored, each in a sealed file, which is whole under its
-own name at whatever moment a run was killed: the run goes on from its last one, bit for bit as if nothing had
-happened. A round that was damaged since is set aside and sampled again, the same bit for bit.
+Sampling ends when the ensembles agree (R-hat) and hold enough effective samples, or at a budget. A run that
+was killed goes on from its last stored round, bit for bit as if nothing had happened; a round that was
+damaged since is set aside and sampled again.
 """
 
 from __future__ import annotations
@@ -16,30 +15,28 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.inference.derivatives import prior_sd
-from cpam_bayes.inference.laplace import GaussianApproximation, optimise
+from cpam_bayes.inference.laplace import Optimum, find_optima, gauss_newton_covariance
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import Proposal
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.running import cut_short, is_time_up
 from cpam_bayes.storage import ARRAYS, read_arrays, write_arrays
 
-Array = NDArray[Any]
-
 # The window is so many times as long as the time itself.
 _WINDOW = 5.0
+# Optima that walkers start about.
+_MOST_OPTIMA = 4
 
 
 def integrated_times(chain: Array) -> Array:
     """Autocorrelation time of every parameter, (steps, walkers, n) -> (n,) steps.
 
     tau = 1 + 2 sum_k rho(k) up to the first lag that is at least five times tau (Sokal, 1996), with the
-    autocovariance averaged over the walkers (Goodman and Weare, 2010). Deviations are taken from the mean
-    of the whole ensemble. From each walker's own mean, as in emcee's estimate, rho(k) would come out low by
-    about tau / steps and tau by 2 window tau / steps: half of it is lost where a chain is ten times as
-    long.
+    autocovariance averaged over the walkers (Goodman and Weare, 2010). Deviations are taken from the mean of
+    the whole ensemble: from each walker's own, as in emcee, tau comes out low by 2 window tau / steps.
 
     nan where a walker does not move. Where no lag is long enough, the largest sum, which tau exceeds.
     """
@@ -164,11 +161,9 @@ class EnsembleSettings:
     round_steps : steps between two looks at the chains.
     r_hat, effective : what ends the sampling.
     most_steps : the budget.
-    lengths : autocorrelation times that a chain has to be long. With a window of five times it, a time is
-    known to sqrt(20 / (lengths walkers)) (Sokal, 1996): 20 % from half of ten, that the diagnostics use, of a
-    hundred walkers.
-    jumps : share of the steps that jump to draws of a proposal, where there is one; the others are local
-    moves.
+    lengths : autocorrelation times that a chain has to be long: a time is known to sqrt(20 / (lengths
+    walkers)) (Sokal, 1996).
+    jumps : share of the steps that jump to draws of a proposal, where there is one.
     """
 
     ensembles: int = 2
@@ -227,21 +222,21 @@ def start_positions(
 ) -> Array:
     """Walker positions about the optima that a swarm found, (n, n_parameters).
 
-    The swarm's distinct personal bests, the best first, are carried to optima of the posterior. From
-    each optimum that is not hopeless walkers are drawn along the data's own covariance, as many as
-    its height and volume deserve: a collapsed swarm gives no degenerate ensemble. At bounds they are
-    reflected. Raises ``ValueError`` where no particle is in the support of the prior.
+    The swarm's distinct personal bests, the best first, are carried to optima of the posterior. From each
+    walkers are drawn along the data's own covariance, as many as its height and volume deserve, reflected at
+    bounds. Raises ``ValueError`` where no particle is in the support of the prior.
 
     swarm : (m, n_plate) personal bests.
     values : (m,) their misfits.
     """
     optima = _optima(posterior, swarm, values)
-    height = np.array([o.log_prob + 0.5 * np.linalg.slogdet(o.covariance)[1] for o in optima])
+    covariance = np.array([gauss_newton_covariance(posterior, o.x) for o in optima])
+    height = np.array([o.log_prob for o in optima]) + 0.5 * np.linalg.slogdet(covariance)[1]
     weight = np.exp(height - height.max())
     chosen = rng.choice(len(optima), size=n, p=weight / weight.sum())
     lower, upper = posterior.parameters.lower, posterior.parameters.upper
-    centre = np.array([o.optimum for o in optima])[chosen]
-    factor = np.linalg.cholesky(np.array([o.covariance for o in optima]))[chosen]
+    centre = np.array([o.x for o in optima])[chosen]
+    factor = np.linalg.cholesky(covariance)[chosen]
     found, widen, missing = np.empty((n, posterior.parameters.size)), 1.0, np.arange(n)
     while len(missing):
         away = widen * factor[missing] @ rng.standard_normal((len(missing), factor.shape[1], 1))
@@ -252,7 +247,7 @@ def start_positions(
     return found
 
 
-def _optima(posterior: Posterior, swarm: Array, values: Array, most: int = 4) -> list[GaussianApproximation]:
+def _optima(posterior: Posterior, swarm: Array, values: Array) -> list[Optimum]:
     """Distinct optima next to the best and most different personal bests of a swarm."""
     parameters = posterior.parameters
     order = np.argsort(values, kind="stable")
@@ -266,13 +261,13 @@ def _optima(posterior: Posterior, swarm: Array, values: Array, most: int = 4) ->
         far = all(np.linalg.norm((x - s) / scale) > 0.3 for s in starts)
         if far and np.isfinite(posterior.log_prob(x[None])[0]):
             starts.append(x)
-        if len(starts) == most:
+        if len(starts) == _MOST_OPTIMA:
             break
     if not starts:
         raise ValueError(
             "chains cannot start: no particle of the swarm is within the bounds and the constraints (9)"
         )
-    return [optimise(posterior, x) for x in starts]
+    return [find_optima(posterior, x[None])[0] for x in starts]
 
 
 def _noise_of(posterior: Posterior, x: Array) -> float:
@@ -336,15 +331,12 @@ def sample(
     start : (ensembles, walkers, n).
     proposal : covers the posterior; without one there are local moves only.
     store : a directory for the rounds; one that holds rounds of the same problem, proposal included, is gone
-    on with, one of another problem raises ``StoreError``. A round that cannot be written, on a full disk for
-    instance, ends the storing and not the sampling: the result says so. ``progress`` is told the diagnostics
-    after each round.
+    on with, one of another problem raises ``StoreError``. A round that cannot be written ends the storing and
+    not the sampling: the result says so. ``progress`` is told the diagnostics after each round.
 
-    Moves: differential evolution (ter Braak, 2006), nine in ten with the usual factor, one in ten
-    with factor 1, which jumps between separate optima. They mixed two to three times as well as the
-    stretch move on the posteriors of B1, C1, A1 and D3. Mixed with them, Metropolis-Hastings jumps to
-    independent draws of a proposal (Tierney, 1994), fixed before the chains begin: where it is good,
-    they forget at once where they were; where it is bad, the other moves are left.
+    Moves: differential evolution (ter Braak, 2006), nine in ten with the usual factor, one in ten with factor
+    1, which jumps between separate optima; mixed with them, Metropolis-Hastings jumps to independent draws of
+    a proposal (Tierney, 1994), fixed before the chains begin.
     """
     key = chain_hash(posterior, start, settings, seed, proposal)
     rounds = Rounds(store, key) if store is not None else None
@@ -407,8 +399,7 @@ def diagnose_chains(chain: Array, settings: EnsembleSettings) -> Diagnostics:
     (Gelman and Rubin, 1992; Vehtari et al., 2021, without rank normalisation). The effective
     number of samples is the number of draws over the integrated autocorrelation time (Goodman and
     Weare, 2010), estimated from the latter halves of the chains; five such times are left out as burn-in.
-    A walker that does not move throughout that half leaves the time unknown: the chains then count as not
-    converged.
+    A walker that does not move leaves the time unknown: the chains then count as not converged.
     """
     steps = chain.shape[1]
     half = chain[:, steps // 2 :]

@@ -1,8 +1,7 @@
 """Laplace's method: optima of a log density within bounds, and Student-t approximations about them.
 
-Optima are found by damped Gauss-Newton steps from a stack of starts. Where two modes cross, sorted
-frequencies have a kink: damped steps shrink there and look converged. Every optimum is therefore polled at
-points spread around it, and left if a better one is found.
+Where two modes cross, sorted frequencies have a kink: damped steps shrink there and look converged. Every
+optimum is therefore polled at points spread around it, and left if a better one is found.
 """
 
 from __future__ import annotations
@@ -10,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import qmc
 
@@ -21,16 +19,15 @@ from cpam_bayes.inference.derivatives import (
     Coordinates,
     Expansion,
     coordinates,
+    expand_likelihood,
     expand_u,
     hessian_u,
-    information,
     log_density,
     prior_sd,
 )
 from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.student_mixture import log_box_mass, log_student_t
-
-Array = NDArray[Any]
+from cpam_bayes.mechanics.problem import Array
 
 # Gain in nats that further steps must promise.
 _PROMISE = 1e-9
@@ -216,20 +213,6 @@ _NEGLIGIBLE_NATS = 30.0
 
 
 @dataclass(frozen=True, slots=True)
-class GaussianApproximation:
-    """A posterior as a Gaussian about one optimum.
-
-    optimum : (n,).
-    covariance : (n, n), the inverse of the Gauss-Newton Hessian with the variances of the priors added, so
-    that a direction which the data leave open keeps its prior's width.
-    """
-
-    optimum: Array
-    log_prob: float
-    covariance: Array
-
-
-@dataclass(frozen=True, slots=True)
 class Optimum:
     """A local maximum of a posterior's density over the scaled coordinates u.
 
@@ -276,11 +259,9 @@ def find_optima(
 ) -> tuple[Optimum, ...]:
     """The distinct local maxima next to given starts and to draws from the prior, the best first.
 
-    All starts are optimised at once by damped Gauss-Newton steps (``maximise``); what they reach is parted
-    into optima with a dip between them, and each is polled from 0.01 to 3 standard deviations around
-    (``polish``), which catches false convergence where modes cross. Optima more than 30 nats below the
-    best are dropped, and all after the best ``most``. Raises ``ValueError`` where no start lies in the
-    support of the prior.
+    All starts are optimised at once (``maximise``); what they reach is parted into optima with a dip between
+    them, and each is polled (``polish``). Optima more than 30 nats below the best are dropped, and all after
+    the best ``most``. Raises ``ValueError`` where no start lies in the support of the prior.
 
     starts : (m, n).
     rng : draws further starts, the best ``draws`` of ten times as many; without it there are none.
@@ -334,30 +315,19 @@ def _distinct(value: Callable[[Array], Array], u: Array, height: Array, most: in
     return kept
 
 
-def optimise(posterior: Posterior, start: Array) -> GaussianApproximation:
-    """The optimum of the posterior next to ``start`` (n,), bounded by the priors' support.
-
-    Raises ``ValueError`` if the start lies outside the support of the prior.
-    """
-    best = find_optima(posterior, start[None])[0]
-    return GaussianApproximation(best.x, best.log_prob, gauss_newton_covariance(posterior, best.x))
-
-
 def gauss_newton_covariance(posterior: Posterior, x: Array) -> Array:
     """(F + P^-1)^-1 at x (n,), F the information of the data, P the covariance of the priors, (n, n).
 
-    F is J^T S^-1 J for Gaussian noise that is known, see ``expansion.information``.
+    A direction which the data leave open keeps its prior's width.
+    F is J^T S^-1 J for Gaussian noise that is known, see ``expand``.
     """
     by_sd = 1.0 / prior_sd(posterior)
     of_prior = by_sd[:, None] * posterior.parameters.precision * by_sd
-    return np.asarray(np.linalg.inv(information(posterior, x[None])[0] + of_prior))
+    return np.asarray(np.linalg.inv(expand_likelihood(posterior, x[None]).curvature[0] + of_prior))
 
 
 def approximate(
-    posterior: Posterior,
-    optimum: Optimum,
-    hessian: Hessian = "exact",
-    degrees_of_freedom: float = np.inf,
+    posterior: Posterior, optimum: Optimum, hessian: Hessian = "exact", degrees_of_freedom: float = np.inf
 ) -> Approximation:
     """The Gaussian or Student-t approximation about one optimum, and its evidence.
 

@@ -7,17 +7,14 @@ integral is the marginal likelihood.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.composed import ComposedModel
 from cpam_bayes.inference.derivatives import Expansion, NormalScores
 from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import ParameterSet
-
-Array = NDArray[Any]
 
 # Fraction of a smooth discrepancy's variance that is common to neighbouring modes; the rest is white.
 SMOOTH_FRACTION = 0.95
@@ -212,7 +209,7 @@ class LogDensity:
         """Those of predictions f (m, n_f): f_listed ln(f_listed / f), Hz.
 
         An error that all frequencies have in common is then a factor of them, also where the model is far
-        off: in differences it would draw the list together, and the misfit with it.
+        off.
         """
         return log_residuals(self.listed.frequencies, f)
 

@@ -1,21 +1,20 @@
 """Pairings of measured frequencies with modes of the model.
 
-A complete list is paired one to one. Otherwise modes may be missing from the list and peaks may be
-spurious; every pairing that keeps the order is possible, each missed mode and each spurious peak at
-a price, and the likelihood is the sum over all of them.
+A complete list is paired one to one. Otherwise every pairing that keeps the order is possible, each missed
+mode and each spurious peak at a price, and the likelihood is the sum over all of them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cpam_bayes.inference.student_mixture import log_sum_exp
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.plate import Measurement
 
-Array = NDArray[Any]
 # Log price of a false peak where there are none: finite, so that none times it is nothing.
 _IMPOSSIBLE: Final = -1e300
 
@@ -53,9 +52,6 @@ class PairingPrior:
             return np.asarray(np.log(number / span))
 
 
-DEFAULT_PAIRING = PairingPrior()
-
-
 @dataclass(frozen=True, slots=True)
 class Pairing:
     """The most probable pairing of one parameter set.
@@ -71,7 +67,7 @@ class Pairing:
 
 
 def monotone_log_likelihood(
-    log_density: Array, in_range: Array, measured_range: float, prior: PairingPrior = DEFAULT_PAIRING
+    log_density: Array, in_range: Array, measured_range: float, prior: PairingPrior
 ) -> Array:
     """Log of the sum over all order-keeping pairings of n measured frequencies with k modes, (m,).
 
@@ -87,12 +83,12 @@ def monotone_log_likelihood(
     if not table.n:
         return np.asarray(table.nothing)
     forward = table.sums()[0]
-    value = np.logaddexp(table.nothing, _log_sum(forward + table.tail(), axes=(1, 2)))
+    value = np.logaddexp(table.nothing, log_sum_exp(forward + table.tail(), axis=(1, 2)))
     return np.where(value > 0.1 * _IMPOSSIBLE, value, -np.inf)
 
 
 def pair_probabilities(
-    log_density: Array, in_range: Array, measured_range: float, prior: PairingPrior = DEFAULT_PAIRING
+    log_density: Array, in_range: Array, measured_range: float, prior: PairingPrior
 ) -> Array:
     """Probability that a frequency is a mode, over all order-keeping pairings, (m, n, k).
 
@@ -109,7 +105,7 @@ def pair_probabilities(
 
 
 def most_probable_pairing(
-    log_density: Array, in_range: Array, measured_range: float, prior: PairingPrior = DEFAULT_PAIRING
+    log_density: Array, in_range: Array, measured_range: float, prior: PairingPrior
 ) -> Pairing:
     """The pairing with the largest likelihood of one parameter set (log_density (n, k))."""
     if not len(log_density):
@@ -131,50 +127,41 @@ def most_probable_pairing(
 
 
 def labelled_log_likelihood(
-    log_density: Array,
-    in_range: Array,
-    measured_range: float,
-    labelled: Array,
-    prior: PairingPrior = DEFAULT_PAIRING,
+    log_density: Array, in_range: Array, measured_range: float, known: Array, prior: PairingPrior
 ) -> Array:
     """Log of the sum over all pairings that give frequencies with a known mode that mode, (m,).
 
-    A frequency marked in ``labelled`` (n,) bool is the mode of its own number and is neither spurious
-    nor another; the other frequencies are paired with the other modes as in
-    ``monotone_log_likelihood``, whatever the order of the labelled ones.
+    The other frequencies are paired with the other modes as in ``monotone_log_likelihood``, whatever the
+    order of the known ones.
+
+    known : (n,) mode of each frequency, -1 where it is not known
     """
-    if not labelled.any():
+    if np.all(known < 0):
         return monotone_log_likelihood(log_density, in_range, measured_range, prior)
-    known = np.flatnonzero(labelled)
-    rows, columns = _others(log_density, labelled)
+    fixed = np.flatnonzero(known >= 0)
+    rows, columns = _others(log_density, known)
     others = monotone_log_likelihood(
         log_density[:, rows][:, :, columns], in_range[:, columns], measured_range, prior.among(rows)
     )
-    return np.asarray(others + np.sum(np.log1p(-prior.missed) + log_density[:, known, known], axis=1))
+    return np.asarray(others + np.sum(np.log1p(-prior.missed) + log_density[:, fixed, known[fixed]], axis=1))
 
 
 def most_probable_labelled_pairing(
-    log_density: Array,
-    in_range: Array,
-    measured_range: float,
-    labelled: Array,
-    prior: PairingPrior = DEFAULT_PAIRING,
+    log_density: Array, in_range: Array, measured_range: float, known: Array, prior: PairingPrior
 ) -> Pairing:
-    """The most probable pairing of one parameter set that respects labels (log_density (n, k))."""
-    rows, columns = _others(log_density, labelled)
+    """The most probable pairing of one parameter set that respects known modes (log_density (n, k))."""
+    rows, columns = _others(log_density, known)
     others = most_probable_pairing(
         log_density[rows][:, columns], in_range[columns], measured_range, prior.among(rows)
     )
-    mode = np.arange(len(log_density))
+    mode = np.array(known)
     mode[rows] = np.where(others.mode >= 0, columns[others.mode], -1)
     return Pairing(mode, columns[others.missed], others.log_probability)
 
 
-def _others(log_density: Array, labelled: Array) -> tuple[Array, Array]:
-    """Frequencies without a known mode, and modes that no labelled frequency has."""
-    known = np.flatnonzero(labelled)
-    n, k = log_density.shape[-2:]
-    return np.setdiff1d(np.arange(n), known), np.setdiff1d(np.arange(k), known)
+def _others(log_density: Array, known: Array) -> tuple[Array, Array]:
+    """Frequencies without a known mode, and modes that none is known to have."""
+    return np.flatnonzero(known < 0), np.setdiff1d(np.arange(log_density.shape[-1]), known)
 
 
 class _Prices:
@@ -224,10 +211,3 @@ class _Prices:
         after = self.miss.sum(axis=1, keepdims=True) - np.cumsum(self.miss, axis=1)
         below = np.append(np.cumsum(self.extra[:0:-1])[::-1], 0.0)
         return np.asarray(after[:, None, :] + below[None, :, None])
-
-
-def _log_sum(values: Array, axes: tuple[int, ...]) -> Array:
-    top = values.max(axis=axes, keepdims=True)
-    top = np.where(np.isfinite(top), top, 0.0)
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.log(np.sum(np.exp(values - top), axis=axes)) + top.reshape(len(values)))

@@ -8,26 +8,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
 from cpam_bayes.forward_model.labels import Alternative, LabelledModel
 from cpam_bayes.forward_model.model import ForwardModel
 from cpam_bayes.inference.pairing import (
-    DEFAULT_PAIRING,
     Pairing,
     PairingPrior,
     labelled_log_likelihood,
     most_probable_labelled_pairing,
     pair_probabilities,
 )
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter, ParameterSet, ScaledStudentT
 from cpam_bayes.plate import Measurement
 
-Array = NDArray[Any]
 Likelihood = Literal["relative", "absolute"]
 
 # Prior of an inferred amplitude: half a Student-t, 1 % of a frequency wide; its bounds.
@@ -76,6 +74,12 @@ class NoiseModel:
     def parameter(self) -> Parameter | None:
         """The amplitude as a parameter, ``None`` where it is given."""
         return self.amplitude if isinstance(self.amplitude, Parameter) else None
+
+    @property
+    def information(self) -> float:
+        """Fisher information of the location of a standardised residual."""
+        nu = self.degrees_of_freedom
+        return 1.0 if np.isinf(nu) else (nu + 1.0) / (nu + 3.0)
 
     def sd(self, amplitude: Array, predicted: Array) -> Array:
         """sigma for amplitudes (m,) and predicted frequencies (m, n_modes), (m, n, n_modes) Hz."""
@@ -173,7 +177,7 @@ class Posterior:
     parameters: ParameterSet
     noise_model: NoiseModel
     labelled: Array
-    pairing: PairingPrior = DEFAULT_PAIRING
+    pairing: PairingPrior
     alternatives: tuple[Alternative, ...] = ()
 
     @property
@@ -248,7 +252,12 @@ class Posterior:
         if self.measurement.complete:
             i = np.arange(self.measurement.size)
             return np.asarray(density[:, i, i].sum(axis=1))
-        return labelled_log_likelihood(density, in_range, self.span, self.labelled, self.pairing)
+        return labelled_log_likelihood(density, in_range, self.span, self._known, self.pairing)
+
+    @property
+    def _known(self) -> Array:
+        """The mode of each labelled frequency, -1 for the others, (n_f,)."""
+        return np.where(self.labelled, np.arange(len(self.labelled)), -1)
 
     def log_density(self, predicted: Array, sigma: Array) -> Array:
         """Log density of every measured frequency about every predicted one, (m, n_f, n_modes)."""
@@ -273,7 +282,7 @@ class Posterior:
         if measurement.complete:
             return Pairing(places[: measurement.size], np.empty(0, dtype=int), log_probability)
         pairing = most_probable_labelled_pairing(
-            density[0][:, places], in_range[0, places], self.span, self.labelled, self.pairing
+            density[0][:, places], in_range[0, places], self.span, self._known, self.pairing
         )
         mode = np.where(pairing.mode >= 0, places[pairing.mode], -1)
         return Pairing(mode, np.sort(places[pairing.missed]), pairing.log_probability + log_probability)

@@ -1,30 +1,20 @@
 """Proposals that cover a density: Student-t mixtures about its optima, refined where most of the mass lies.
 
 The mixture is one over normal scores, so that nothing is cut: a posterior that piles up on a bound becomes
-a peak with a light tail, which a Student-t covers. Laplace's approximation about an optimum, and nodes
-scattered over a prior, may miss a narrow bent ridge, along which the place of a mass and its size go
-together. After each round such a proposal gets Gaussians at the heaviest points so far, from the density's
-own gradient and curvature there.
+a peak with a light tail. Approximations about optima and nodes may miss a narrow bent ridge: after each round
+Gaussians join at the heaviest points so far, from the density's own gradient and curvature there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from cpam_bayes.inference.derivatives import (
-    MAX_SCORE,
-    Expansion,
-    NormalScores,
-    apart,
-    coordinates,
-    distinct,
-)
+from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion, NormalScores, apart, coordinates, distinct
 from cpam_bayes.inference.laplace import Approximation, approximate, find_optima, maximise, promised_gain
 from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.inference.posterior import Posterior
@@ -44,8 +34,7 @@ from cpam_bayes.inference.student_mixture import (
     weighted,
     widened,
 )
-
-Array = NDArray[Any]
+from cpam_bayes.mechanics.problem import Array
 
 # Said where importance sampling meets nothing but zeros.
 NOWHERE = "no draw of the proposal lies in the support of the prior; check bounds and constraints"
@@ -103,19 +92,21 @@ class Proposal:
 
 @dataclass(slots=True)
 class Adaptation:
-    """A proposal on its way, and all draws that it was fitted to."""
+    """A proposal on its way, and all draws so far: proposals, points of each, and the log densities there."""
 
     posterior: Posterior
     scores: NormalScores
-    history: History
     proposal: Mixture
     components: int
+    proposals: list[Mixture] = field(default_factory=list)
+    points: list[Array] = field(default_factory=list)
+    targets: list[Array] = field(default_factory=list)
 
 
 def adapted(posterior: Posterior, starts: Array, seed: int, settings: AdaptationSettings) -> Proposal:
     """The proposal of a posterior whose optima lie near the starts (m, n), or are found from the prior."""
     state = adapt(posterior, starts, np.random.default_rng([seed, 5]), settings)
-    return Proposal(state.scores, state.proposal, sum(map(len, state.history.points)))
+    return Proposal(state.scores, state.proposal, sum(map(len, state.points)))
 
 
 def adapt(
@@ -137,7 +128,7 @@ def adapt(
     if chain is not None:
         proposal = _joined(proposal, _from_chain(scores, chain, settings.components, rng))
     components = len(optima) + settings.components - 1
-    state = Adaptation(posterior, scores, History([], [], []), proposal, components)
+    state = Adaptation(posterior, scores, proposal, components)
     fractions: list[float] = []
     while len(fractions) < settings.rounds:
         fractions.append(draw_round(state, settings.draws, rng))
@@ -147,21 +138,6 @@ def adapt(
         if len(fractions) >= _STALLED_AFTER and fractions[-1] < _LEAST_GAIN * max(fractions[:-1]):
             break
     return state
-
-
-@dataclass(frozen=True, slots=True)
-class History:
-    """All draws so far: the proposals, the points of each and the log densities there."""
-
-    proposals: list[Mixture]
-    points: list[Array]
-    targets: list[Array]
-
-
-def _log_target(posterior: Posterior, scores: NormalScores, z: Array) -> Array:
-    """Log density over scores but for the evidence, -inf where constraints (9) are broken, (m, n) -> (m,)."""
-    x = scores.to_x(z)
-    return np.asarray(posterior.log_prob(x) - posterior.parameters.log_prior(x) + scores.log_prior(z))
 
 
 def _from_approximations(
@@ -203,13 +179,15 @@ def _joined(one: Mixture, other: Mixture) -> Mixture:
 
 
 def draw_round(state: Adaptation, size: int, rng: np.random.Generator) -> float:
-    """Draws of a proposal, added to its history, and their effective fraction."""
+    """Draws of a proposal, added to those before, and their effective fraction."""
     z = draw(state.proposal, size, rng)
-    history = state.history
-    history.proposals.append(state.proposal)
-    history.points.append(z)
-    history.targets.append(_log_target(state.posterior, state.scores, z))
-    return effective_size(history.targets[-1] - log_mixture(state.proposal, z)) / size
+    x, posterior = state.scores.to_x(z), state.posterior
+    # -inf where the constraints (9) are broken
+    target = posterior.log_prob(x) - posterior.parameters.log_prior(x) + state.scores.log_prior(z)
+    state.proposals.append(state.proposal)
+    state.points.append(z)
+    state.targets.append(target)
+    return effective_size(target - log_mixture(state.proposal, z)) / size
 
 
 def refine(state: Adaptation) -> None:
@@ -218,13 +196,12 @@ def refine(state: Adaptation) -> None:
     Every draw is weighed against the blend of all proposals (Cornuet et al., 2012), so that a bad first
     round does not lead the next one astray.
     """
-    history = state.history
-    points = np.concatenate(history.points)
-    sizes = [len(v) for v in history.points]
-    log_weight = np.concatenate(history.targets) - log_blend(history.proposals, sizes, points)
+    points = np.concatenate(state.points)
+    sizes = [len(v) for v in state.points]
+    log_weight = np.concatenate(state.targets) - log_blend(state.proposals, sizes, points)
     weights = _tempered(log_weight, 20.0 * points.shape[1])
-    main = history.proposals[-1]
-    if len(history.proposals) > 1:  # less the wide component, which is added anew
+    main = state.proposals[-1]
+    if len(state.proposals) > 1:  # less the wide component, which is added anew
         share = main.share[:-1]
         main = Mixture(share / share.sum(), main.centre[:-1], main.factor[:-1], main.degrees_of_freedom)
     fitted = fit(split(main, points, weights, state.components), points, weights)

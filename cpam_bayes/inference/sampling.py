@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes import __version__
 from cpam_bayes.answer import Notice
@@ -31,11 +30,10 @@ from cpam_bayes.inference.posterior import Posterior
 from cpam_bayes.inference.proposal import NOWHERE, AdaptationSettings, adapt, adapted, draw_round, refine
 from cpam_bayes.inference.student_mixture import RELIABLE_K, log_mixture, weighted
 from cpam_bayes.inference.swarm import SwarmSettings, minimise
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.plate import Specimen, to_user, unit_of, user_name
 from cpam_bayes.running import single_blas_thread
 from cpam_bayes.storage import opened_draws
-
-Array = NDArray[Any]
 
 # Of the proposal that chains jump to: it need not be as good as that of an evidence.
 JUMPS = AdaptationSettings()
@@ -204,16 +202,11 @@ def basis_notices(evidence: Evidence) -> tuple[Notice, ...]:
 
 
 def evidence_of(
-    posterior: Posterior,
-    result: EnsembleResult,
-    seed: int,
-    *,
-    settings: EvidenceSettings = _USUAL,
+    posterior: Posterior, result: EnsembleResult, seed: int, *, settings: EvidenceSettings = _USUAL
 ) -> Evidence:
     """The evidence of a posterior whose chains are there.
 
-    The proposal is fitted to draws of the chains and to the optima next to their best draw and to draws
-    from the prior, so that an optimum that the chains have missed counts.
+    The proposal is fitted to the optima next to draws from the prior too: one that the chains missed counts.
     """
     best = result.draws[int(np.argmax(result.log_prob))]
     return importance_evidence(posterior, best[None], seed, chain=result.draws, settings=settings)
@@ -230,24 +223,20 @@ def importance_evidence(
 ) -> Evidence:
     """The evidence of a posterior by adaptive importance sampling.
 
-    Z = E_q[p / q], q a mixture of Student-t densities of 5 degrees of freedom over normal
-    scores. It begins as the Laplace approximations about the optima, and with the draws of a chain where
-    there are some; weighted draws refine it in rounds (population Monte Carlo: Cappe et al., 2008). The
-    estimate is made of fresh draws, for which q is fixed: its expectation is Z. If one draw carries more
-    than 0.5 % of the weight, or the tail of the weights is heavy, q has missed something that these
-    draws have found, and the estimate is made again from a q fitted to them. Raises ``ValueError`` where
-    nothing lies in the support of the prior.
+    Z = E_q[p / q], q a mixture of Student-t densities of 5 degrees of freedom over normal scores, as of
+    ``adapt``. The estimate is made of fresh draws, for which q is fixed: its expectation is Z. If one draw
+    carries more than 0.5 % of the weight, or the tail of the weights is heavy, it is made again from a q
+    fitted to these draws. Raises ``ValueError`` where nothing lies in the support of the prior.
 
     starts : (m, n) where optima are looked for, besides draws from the prior; may be empty.
     chain : (n_draws, n) draws of the posterior.
     """
     rng = np.random.default_rng([seed, 4])
     state = adapt(posterior, starts, rng, settings.adaptation, chain)
-    scores, history = state.scores, state.history
     for attempt in range(settings.attempts):
         draw_round(state, settings.draws, rng)
-        log_weight = history.targets[-1] - log_mixture(state.proposal, history.points[-1])
-        evidence = _summarised(scores, history.points[-1], log_weight, sum(map(len, history.points)))
+        log_weight = state.targets[-1] - log_mixture(state.proposal, state.points[-1])
+        evidence = _summarised(state.scores, state.points[-1], log_weight, sum(map(len, state.points)))
         missed = np.exp(evidence.log_weights.max()) > _OUTSTANDING_WEIGHT
         if (evidence.status == "reliable" and not missed) or attempt == settings.attempts - 1:
             break

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri, gammaln, log_ndtr, ndtri, ndtri_exp, stdtr, stdtrit
 from scipy.stats import qmc
 
-Array = NDArray[Any]
+from cpam_bayes.mechanics.problem import Array
 
 # Fraction of the whole that a component keeps at least, and ridge of its scale over that of all points.
 _LEAST_FRACTION, _RIDGE = 0.01, 1e-6
@@ -216,8 +214,8 @@ def widened(mixture: Mixture, share: float, factor: float, points: Array, weight
     )
 
 
-def log_sum_exp(values: Array, axis: int) -> Array:
-    """log sum exp along an axis, -inf where all are."""
+def log_sum_exp(values: Array, axis: int | tuple[int, ...]) -> Array:
+    """log sum exp along axes, -inf where all are."""
     top = values.max(axis=axis, keepdims=True)
     top = np.where(np.isfinite(top), top, 0.0)
     with np.errstate(divide="ignore"):
@@ -242,12 +240,7 @@ def _factor(scale: Array) -> Array:
 
 
 def log_box_mass(
-    centre: Array,
-    scale: Array,
-    lower: Array,
-    upper: Array,
-    nu: float = np.inf,
-    log2_points: int = 10,
+    centre: Array, scale: Array, lower: Array, upper: Array, nu: float = np.inf, log2_points: int = 10
 ) -> Array:
     """Log probability between bounds of m Gaussian or Student-t densities, (m,).
 

@@ -1,53 +1,39 @@
 """Particle swarms for constants in a box and, beside them, ply angles on a grid: eq. (1) to (5).
 
-Constants move by eq. (1) and (2), memberships of the ply angles by eq. (5). Both have one personal best,
-the position of the smallest value, and one leader. A swarm without unknown plies has empty memberships and
-is the plain one. The objective is called once an iteration, on the stack of the feasible particles.
-Starting, stepping and stopping take a frozen state and return a new value.
+Constants move by eq. (1) and (2), memberships of the ply angles by eq. (5); a swarm without unknown plies has
+empty memberships and is the plain one. The objective is called once an iteration, on the feasible particles.
 
-The memberships X and their velocities V of one particle are the matrices of eq. (3) and (4): a column for
-each unknown ply, a row for each angle of the grid (10). They are held as arrays of shape ``(particles,
-plies, angles)``, so that a column of the paper is the last axis. The paper leaves open how a matrix becomes
-a sequence, where the fuzzy swarm starts and what is done with a column that has lost all its members. H.
-Liu, A. Abraham and A. E. Hassanien (Future Generation Computer Systems 26, 2010, 1336-1343), whose
-scheduling problem section 3 describes, take the row of the largest membership and draw an empty column
-anew; both are done here. The start is drawn uniformly and at rest, as the constants are.
+Memberships X and their velocities V, the matrices of eq. (3) and (4), are arrays ``(particles, plies,
+angles)``: a column of the paper is the last axis. How a matrix becomes a sequence, and what is done with a
+column that has lost all its members, is as of H. Liu, A. Abraham and A. E. Hassanien (Future Generation
+Computer Systems 26, 2010, 1336-1343): the row of the largest membership, and a column drawn anew.
 
-The paper gives no settings. Those of `SwarmSettings` come from the literature:
-
-* w = 0.7298 and c1 = c2 = 1.49618 are the inertia form of the constriction coefficient with
-  phi = 4.1 (M. Clerc, J. Kennedy, IEEE Trans. Evol. Comput. 6, 2002, 58-73; R. C. Eberhart,
-  Y. Shi, Proc. CEC 2000, 84-88);
-* swarms of 20 to 100 particles differ little (D. Bratton, J. Kennedy, Proc. IEEE Swarm
-  Intelligence Symposium 2007, 120-127, who take 50); 40 is the size of the standard swarm of 2011
-  (M. Clerc, Standard particle swarm optimisation, 2012);
-* velocities start at zero (A. Engelbrecht, Proc. IEEE Swarm Intelligence Symposium 2012);
-* a particle that leaves the box is put back on the bound it crossed, and turns round with half
-  its speed in that component (Clerc 2012, as above; S. Helwig, J. Branke, S. Mostaghim, IEEE
-  Trans. Evol. Comput. 17, 2013, 259-271, compare the ways to do it). Stopping it there instead,
-  or keeping its speed, lets a swarm settle on a bound that holds no optimum.
+The paper gives no settings. w = 0.7298 and c1 = c2 = 1.49618 are the inertia form of the constriction
+coefficient with phi = 4.1 (M. Clerc, J. Kennedy, IEEE Trans. Evol. Comput. 6, 2002, 58-73; R. C. Eberhart,
+Y. Shi, Proc. CEC 2000, 84-88). Swarms of 20 to 100 particles differ little (D. Bratton, J. Kennedy, Proc.
+IEEE Swarm Intelligence Symposium 2007, 120-127); 40 is that of the standard swarm of 2011 (M. Clerc, Standard
+particle swarm optimisation, 2012), as is what happens at a bound (`confine`; compared by S. Helwig, J.
+Branke, S. Mostaghim, IEEE Trans. Evol. Comput. 17, 2013, 259-271). Velocities start at zero (A. Engelbrecht,
+Proc. IEEE Swarm Intelligence Symposium 2012).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, Literal, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Hybrid, Material, joined_name, split_name
 from cpam_bayes.plate.laminate import MaterialSymmetry
 from cpam_bayes.running import cut_short, is_time_up
 
-FloatArray: TypeAlias = NDArray[np.float64]
-BoolArray: TypeAlias = NDArray[np.bool_]
-IndexArray: TypeAlias = NDArray[np.int64]
-Objective: TypeAlias = Callable[[FloatArray], FloatArray]
-SequenceObjective: TypeAlias = Callable[[FloatArray, IndexArray], FloatArray]
-Feasible: TypeAlias = Callable[[FloatArray], BoolArray]
+Objective: TypeAlias = Callable[[Array], Array]
+SequenceObjective: TypeAlias = Callable[[Array, Array], Array]
+Feasible: TypeAlias = Callable[[Array], Array]
 Status: TypeAlias = Literal["converged", "budget"]
 
 TEXTS: Final[Mapping[str, str]] = {
@@ -69,10 +55,6 @@ TEXTS: Final[Mapping[str, str]] = {
         "{particles} particles agree on the sequence and on the constants; allow more iterations, or "
         "more particles"
     ),
-    "no grid": (
-        "fuzzy swarm: received {n_plies} unknown plies and a grid of {n_angles} angles, "
-        "accepted: 1 or more of each"
-    ),
     "nothing feasible": (
         "no feasible particle among the {particles} of the initial swarm: each violates a "
         "constraint of eq. (9); widen or move the search bounds"
@@ -85,14 +67,6 @@ TEXTS: Final[Mapping[str, str]] = {
         "no start value for {name}: the bounds and eq. (9) leave {low:g} to {high:g}, which is "
         "empty; widen the search bounds of the constants"
     ),
-    "no particle": "a swarm needs at least one particle, got {particles}",
-    "bounds": (
-        "component {index}: the lower bound {low!r} and the upper bound {high!r} must be finite, "
-        "and the lower one below the upper one"
-    ),
-    "start shape": ("the start has shape {shape}; one row a particle and {size} components are expected"),
-    "start bounds": "particle {index} of the start lies outside the bounds or is not finite",
-    "reply shape": "{source} returned shape {shape} for {particles} particles, expected {expected}",
     "setting": "{name} = {value!r} is not accepted: it must be {rule}",
 }
 """All texts, by what happened."""
@@ -138,7 +112,7 @@ def _require(name: str, value: float, accepted: bool, rule: str) -> None:
         raise ValueError(TEXTS["setting"].format(name=name, value=value, rule=rule))
 
 
-def decode(memberships: FloatArray) -> IndexArray:
+def decode(memberships: Array) -> Array:
     """Sequences of fuzzy matrices: of each ply the angle of the largest membership.
 
     memberships : (..., n_plies, n_angles) -> (..., n_plies) grid indices.
@@ -146,7 +120,7 @@ def decode(memberships: FloatArray) -> IndexArray:
     return np.asarray(np.argmax(memberships, axis=-1), dtype=np.int64)
 
 
-def normalised(memberships: FloatArray, rng: np.random.Generator) -> FloatArray:
+def normalised(memberships: Array, rng: np.random.Generator) -> Array:
     """Memberships made lawful as section 3 says: none negative, those of one ply summing to 1.
 
     A ply without any positive membership gets uniform random ones, see the module's text.
@@ -183,25 +157,16 @@ class SwarmProblem:
     objective : constants (m, n_constants), grid indices (m, n_plies) -> (m,), called with feasible particles
     only.
     feasible : (m, n_constants) -> (m,) bool.
-    lower, upper : (n_constants,) bounds.
+    lower, upper : (n_constants,) bounds, finite.
     n_plies, n_angles : unknown plies and angles of the grid, 0 of both for constants alone.
-
-    Raises ``ValueError`` if bounds are not finite or not in order, or for plies without a grid.
     """
 
     objective: SequenceObjective
     feasible: Feasible
-    lower: FloatArray
-    upper: FloatArray
+    lower: Array
+    upper: Array
     n_plies: int = 0
     n_angles: int = 0
-
-    def __post_init__(self) -> None:
-        for index, (low, high) in enumerate(zip(self.lower, self.upper, strict=True)):
-            if not (np.isfinite(low) and np.isfinite(high) and low < high):
-                raise ValueError(TEXTS["bounds"].format(index=index, low=float(low), high=float(high)))
-        if (self.n_plies, self.n_angles) != (0, 0) and min(self.n_plies, self.n_angles) < 1:
-            raise ValueError(TEXTS["no grid"].format(n_plies=self.n_plies, n_angles=self.n_angles))
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,13 +181,13 @@ class SwarmState:
     evaluations : particles sent to the objective until now.
     """
 
-    positions: FloatArray
-    velocities: FloatArray
-    memberships: FloatArray
-    drifts: FloatArray
-    personal_bests: FloatArray
-    best_memberships: FloatArray
-    personal_values: FloatArray
+    positions: Array
+    velocities: Array
+    memberships: Array
+    drifts: Array
+    personal_bests: Array
+    best_memberships: Array
+    personal_values: Array
     history: tuple[float, ...]
     evaluations: int
 
@@ -245,26 +210,24 @@ class SwarmResult:
     message : the status in words.
     """
 
-    best: FloatArray = field(repr=False)
-    sequence: IndexArray
+    best: Array = field(repr=False)
+    sequence: Array
     value: float
-    personal_bests: FloatArray = field(repr=False)
-    personal_values: FloatArray = field(repr=False)
+    personal_bests: Array = field(repr=False)
+    personal_values: Array = field(repr=False)
     iterations: int
     evaluations: int
     status: Status
-    history: FloatArray = field(repr=False)
+    history: Array = field(repr=False)
     message: str
 
 
-def confine(
-    positions: FloatArray, velocities: FloatArray, lower: FloatArray, upper: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def confine(positions: Array, velocities: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
     """Put particles that left the box back on its bounds and turn them round.
 
     The position goes to the bound that was crossed, the velocity of that component changes sign
-    and halves (Clerc 2012, see ``pso``). An optimum on a bound is hit exactly, and a swarm that was
-    pressed onto a bound can still leave it.
+    and halves (Clerc 2012). An optimum on a bound is hit exactly, and a swarm that was pressed onto a bound
+    that holds none can still leave it.
 
     positions, velocities : (particles, n_constants).
     lower, upper : (n_constants,).
@@ -273,21 +236,14 @@ def confine(
     return inside, np.where(inside != positions, _BOUNCE * velocities, velocities)
 
 
-def start_swarm(problem: SwarmProblem, start: FloatArray, rng: np.random.Generator) -> SwarmState:
+def start_swarm(problem: SwarmProblem, start: Array, rng: np.random.Generator) -> SwarmState:
     """Evaluate start constants beside uniformly drawn memberships, all at rest.
 
     start : (particles, n_constants), inside the bounds, for instance of ``initial_swarm``.
 
-    Raises ``ValueError`` if the start does not fit the bounds, or if no particle is feasible with a
-    finite value.
+    Raises ``ValueError`` if no particle is feasible with a finite value.
     """
     positions = np.array(start, dtype=np.float64)
-    size = problem.lower.size
-    if positions.ndim != 2 or positions.shape[0] < 1 or positions.shape[1] != size:
-        raise ValueError(TEXTS["start shape"].format(shape=positions.shape, size=size))
-    outside = ~np.all((positions >= problem.lower) & (positions <= problem.upper), axis=1)
-    if outside.any():
-        raise ValueError(TEXTS["start bounds"].format(index=int(np.argmax(outside))))
     # no plies draw nothing, whatever the number of angles
     shape = (len(positions), problem.n_plies, max(problem.n_angles, 1))
     memberships = normalised(1.0 - rng.random(shape), rng)
@@ -318,7 +274,7 @@ def step_swarm(
     R2 of the memberships.
     """
 
-    def moved(x: FloatArray, v: FloatArray, best: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def moved(x: Array, v: Array, best: Array) -> tuple[Array, Array]:
         r1, r2 = rng.random(x.shape), rng.random(x.shape)
         v = settings.inertia * v + settings.c1 * r1 * (best - x) + settings.c2 * r2 * (best[state.leader] - x)
         return x + v, v
@@ -375,7 +331,7 @@ def stop_reason(problem: SwarmProblem, state: SwarmState, settings: SwarmSetting
 
 def minimise_problem(
     problem: SwarmProblem,
-    start: FloatArray,
+    start: Array,
     settings: SwarmSettings,
     rng: np.random.Generator,
     *,
@@ -390,8 +346,7 @@ def minimise_problem(
     start : (particles, n_constants), sets the swarm's size; ``settings.particles`` is not read here.
     progress : called with the iteration and the best value, the start first.
 
-    Raises ``ValueError`` if start or a returned array do not fit, or if no particle of the start is
-    feasible with a finite value.
+    Raises ``ValueError`` if no particle of the start is feasible with a finite value.
     """
     state = start_swarm(problem, start, rng)
     while True:
@@ -442,37 +397,28 @@ def _result(problem: SwarmProblem, state: SwarmState, settings: SwarmSettings, s
     )
 
 
-def _evaluate(
-    problem: SwarmProblem, positions: FloatArray, memberships: FloatArray
-) -> tuple[FloatArray, int]:
+def _evaluate(problem: SwarmProblem, positions: Array, memberships: Array) -> tuple[Array, int]:
     """The values, infinite where infeasible or not finite, and the number of solves."""
     n = len(positions)
     allowed = np.asarray(problem.feasible(positions), dtype=np.bool_)
-    _require_shape("feasible", allowed.shape, n)
     values = np.full(n, np.inf)
     solves = int(allowed.sum())
     if solves:
         reply = problem.objective(positions[allowed], decode(memberships[allowed]))
         reply = np.asarray(reply, dtype=np.float64)
-        _require_shape("objective", reply.shape, solves)
         values[allowed] = np.where(np.isfinite(reply), reply, np.inf)
     return values, solves
 
 
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+def _read_only(array: Array) -> Array:
     copy = array.copy()
     copy.flags.writeable = False
     return copy
 
 
-def _require_shape(source: str, shape: tuple[int, ...], n: int) -> None:
-    if shape != (n,):
-        raise ValueError(TEXTS["reply shape"].format(source=source, shape=shape, particles=n, expected=(n,)))
-
-
 def material_swarm(
     material: Material | Hybrid, unknowns: ParameterSet, n: int, rng: np.random.Generator
-) -> FloatArray:
+) -> Array:
     """Draw the start positions of the unknown constants of a plate, `initial_swarm` for each material.
 
     Constants that are not among the unknowns have their reference value.
@@ -481,7 +427,7 @@ def material_swarm(
 
     Raises ``ValueError`` if the bounds leave no room for the constraints.
     """
-    drawn: dict[str, FloatArray] = {}
+    drawn: dict[str, Array] = {}
     for name, part in material.parts.items():
         of_part = tuple(p for p in unknowns.parameters if split_name(p.name)[0] == name)
         plain = ParameterSet(tuple(replace(p, name=split_name(p.name)[1]) for p in of_part))
@@ -492,11 +438,8 @@ def material_swarm(
 
 
 def initial_swarm(
-    parameters: ParameterSet,
-    symmetry: MaterialSymmetry,
-    n: int,
-    rng: np.random.Generator,
-) -> FloatArray:
+    parameters: ParameterSet, symmetry: MaterialSymmetry, n: int, rng: np.random.Generator
+) -> Array:
     """Draw the start positions of section 5.1 within the bounds.
 
     E2 is uniform in its bounds, E1 uniform between E2 and its upper bound, nu12 uniform in
@@ -513,8 +456,6 @@ def initial_swarm(
 
     Raises ``ValueError`` if the bounds leave no room for the constraints.
     """
-    if n < 1:
-        raise ValueError(TEXTS["no particle"].format(particles=n))
     bounds = dict(zip(parameters.names, zip(parameters.lower, parameters.upper, strict=True), strict=True))
     drawn = {name: np.full(n, value) for name, value in parameters.fixed}
     edge = np.ones(n)  # sqrt(E1 / E2)
@@ -539,9 +480,9 @@ def initial_swarm(
 
 def minimise(
     objective: Objective,
-    lower: FloatArray,
-    upper: FloatArray,
-    start: FloatArray,
+    lower: Array,
+    upper: Array,
+    start: Array,
     settings: SwarmSettings,
     rng: np.random.Generator,
     *,
@@ -555,7 +496,7 @@ def minimise(
     lower, upper : (n_constants,).
     """
 
-    def without_sequence(constants: FloatArray, sequences: IndexArray) -> FloatArray:
+    def without_sequence(constants: Array, sequences: Array) -> Array:
         return objective(constants)
 
     lower, upper = (np.asarray(bound, dtype=np.float64) for bound in (lower, upper))
@@ -564,9 +505,7 @@ def minimise(
     )
 
 
-def _draw(
-    name: str, low: FloatArray | float, high: FloatArray | float, n: int, rng: np.random.Generator
-) -> FloatArray:
+def _draw(name: str, low: Array | float, high: Array | float, n: int, rng: np.random.Generator) -> Array:
     """Draw n values uniformly between two limits, each a number or one for every particle."""
     low, high = np.broadcast_to(low, n), np.broadcast_to(high, n)
     empty = ~(low <= high)

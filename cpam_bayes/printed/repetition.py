@@ -22,7 +22,7 @@ from cpam_bayes.identification.search import misfit
 from cpam_bayes.inference.assessment import cutting_constraints
 from cpam_bayes.inference.derivatives import prior_sd
 from cpam_bayes.inference.ensemble import EnsembleSettings
-from cpam_bayes.inference.laplace import gauss_newton_covariance, optimise
+from cpam_bayes.inference.laplace import find_optima, gauss_newton_covariance
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.sampling import sample_posterior
 from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings, material_swarm, minimise
@@ -428,7 +428,7 @@ def _sample(shared: Shared, task: InversionTask) -> PosteriorSummary:
     seed = int(np.random.SeedSequence(task.seeds(shared.seed)).generate_state(1)[0])
     result = sample_posterior(posterior, seed, settings=shared.chains, swarm_settings=shared.problem.swarm)
     draws, parameters = result.draws, posterior.parameters
-    best = optimise(posterior, shared.reference).optimum
+    best = find_optima(posterior, shared.reference[None])[0].x
     near = _NEXT_TO_BOUND * (parameters.upper - parameters.lower)
     next_to = (draws < parameters.lower + near) | (draws > parameters.upper - near)
     scale = prior_sd(posterior)

@@ -22,7 +22,6 @@ from cpam_bayes.diagnosis.hypotheses import NONE, OTHER
 from cpam_bayes.errors import checked
 from cpam_bayes.forward_model.build import Neighbour
 from cpam_bayes.forward_model.known_errors import TolerantModel
-from cpam_bayes.forward_model.labels import LabelledModel
 from cpam_bayes.forward_model.model import with_references
 from cpam_bayes.forward_model.preconditions import misfit_over_noise
 from cpam_bayes.forward_model.reduced import ReducedModel
@@ -182,7 +181,7 @@ def _target(text: str, name: str, folder: str) -> tuple[Specimen, Any]:
     near = _converged[0] if _converged else None
     target = posterior(specimen, near=near)
     exact = target.model.model if isinstance(target.model, TolerantModel) else target.model
-    assert isinstance(exact, ReducedModel | LabelledModel)
+    assert isinstance(exact, ReducedModel)
     model = exact.full
     if near is None or not near.suits(specimen, model.parameters, model.n_modes):
         _converged[:] = [Neighbour(specimen, model)]

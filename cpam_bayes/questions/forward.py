@@ -289,7 +289,7 @@ def _fem(specimen: Specimen, n_modes: int) -> _Solution:
 
 def _ccx(specimen: Specimen, n_modes: int, element: Element = "brick") -> _Solution:
     """Three-dimensional bricks, or shells, solved by the program CalculiX."""
-    from cpam_bayes.forward_model.calculix import solve_modes
+    from cpam_bayes.forward_model.calculix.run import solve_modes
 
     solved = solve_modes(specimen, reference_constants(specimen), n_modes, element=element)
     name = {"brick": "20-node bricks, layers of C3D20R", "shell": "8-node composite shells, S8R"}[element]

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from cpam_bayes.forward_model.calculix import PROGRAM_VARIABLE
+from cpam_bayes.forward_model.calculix.run import PROGRAM_VARIABLE
 from tests.meshes import grid, rectangle
 from tests.plate_file import refused
 

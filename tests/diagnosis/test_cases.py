@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cpam_bayes.diagnosis.cases import build_models, differing_priors, hypotheses_of, plate_case, with_list
+from cpam_bayes.diagnosis.cases import build_models, differing_priors, hypotheses_of, plate_case
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.evidence.pairing_search import plain_pairings
 from cpam_bayes.diagnosis.hypotheses import (
@@ -209,7 +209,7 @@ def test_constants_that_files_give_different_priors_are_named() -> None:
 
 def test_another_list_shares_the_models() -> None:
     first = toys(("one", "one"))[0]
-    second = with_list(first, a_list(1.01 * F0, 0.003))
+    second = replace(first, measurement=a_list(1.01 * F0, 0.003))
     assert second.models is first.models
     assert second.extended is first.extended
     assert second.measurement.relative_std == 0.003

@@ -76,7 +76,7 @@ def test_the_projection_is_the_precision_with_the_constants_integrated_and_absor
     a = weighted_slopes(F0)
     marginal = np.linalg.inv(np.eye(8) + a @ a.T)  # of a linear model with Gaussian priors
     shift = np.random.default_rng(0).standard_normal(8)
-    visible = projector.visible(shift)
+    visible = projector.root @ shift
     assert visible @ visible == pytest.approx(shift @ marginal @ shift, rel=1e-9)
     shift = a @ [0.8, -0.3]
     expected = np.linalg.solve(a.T @ a + np.eye(2), a.T @ shift)

@@ -10,13 +10,13 @@ from numpy.testing import assert_allclose
 
 import cpam_bayes as cb
 from cpam_bayes.forward_model.build import model_key
-from cpam_bayes.forward_model.calculix import solve_modes
+from cpam_bayes.forward_model.calculix.run import solve_modes
 from cpam_bayes.forward_model.model import NO_PARAMETERS, plate_problem, reference_constants
 from cpam_bayes.forward_model.preconditions import exchange_notices
 from cpam_bayes.forward_model.reduced import DEFAULT_SETTINGS
 from cpam_bayes.forward_model.three_dimensions import LIMIT, sandwich_error
 from cpam_bayes.mechanics.convergence import Tolerance
-from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, flexural_constants
+from cpam_bayes.plate.laminate import flexural_constants
 from cpam_bayes.render.notices import sentence_of
 from tests.hybrids import CARBON, GLASS, HYBRID, hybrid, isotropic, of_layers, sandwich
 from tests.plate_file import described
@@ -121,7 +121,7 @@ def test_bricks_agree_where_the_halves_weigh_differently() -> None:
 def test_a_model_is_of_one_hybrid() -> None:
     def key(plate: dict[str, Any]) -> str:
         specimen = cb.read_plate(plate)
-        return model_key(specimen, NO_PARAMETERS, 5, ENERGY_CONSISTENT, DEFAULT_SETTINGS, None)
+        return model_key(specimen, NO_PARAMETERS, 5, DEFAULT_SETTINGS, None)
 
     exchanged = hybrid(layup="[g0_2/c45/c-45/g90]_s", thickness_mm=3.25)
     heights = hybrid(thickness_mm=3.06)

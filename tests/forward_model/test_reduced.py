@@ -37,7 +37,6 @@ from cpam_bayes.mechanics.convergence import Tolerance, rich_frequencies
 from cpam_bayes.mechanics.problem import rigid_body_count
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Sensor, Specimen, builtin, read_specimen
-from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, FIVE_SIXTHS, ShearModel
 from cpam_bayes.plate.layup import parse_layup
 
 N_DRAWS = 1000
@@ -369,13 +368,12 @@ def test_a_model_that_is_sent_predicts_the_same_bit_for_bit(b1: Specimen) -> Non
 def key(
     specimen: Specimen,
     n_modes: int = 6,
-    shear: ShearModel = ENERGY_CONSISTENT,
     settings: ReductionSettings = DEFAULT_SETTINGS,
     centre: np.ndarray | None = None,
     parameters: ParameterSet | None = None,
 ) -> str:
     own = specimen.unknowns if parameters is None else parameters
-    return model_key(specimen, own, n_modes, shear, settings, centre)
+    return model_key(specimen, own, n_modes, settings, centre)
 
 
 def test_whatever_changes_the_model_changes_its_key(b1: Specimen) -> None:
@@ -396,7 +394,6 @@ def test_whatever_changes_the_model_changes_its_key(b1: Specimen) -> None:
     keys = [key(b1), *(key(other) for other in changed)]
     keys += [
         key(b1, n_modes=7),
-        key(b1, shear=FIVE_SIXTHS),
         key(b1, settings=QUICK),
         key(b1, centre=centre),
         key(b1, parameters=b1.unknowns.without("nu12")),

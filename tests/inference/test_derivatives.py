@@ -13,9 +13,9 @@ from cpam_bayes.inference.derivatives import (
     NormalScores,
     coordinates,
     expand,
+    expand_likelihood,
     expand_u,
     hessian_u,
-    information,
     log_density,
 )
 from cpam_bayes.inference.posterior import NOISE_PRIOR, Posterior, plate_posterior
@@ -134,7 +134,7 @@ def test_curvature_is_the_expected_one_for_student_t_noise() -> None:
         return ((nu + 1) * z**2 / (nu + z**2) - 1.0) ** 2 * float(t.pdf(z, nu))
 
     by_location, by_scale = (quad(f, -np.inf, np.inf)[0] for f in (location, log_scale))
-    found = information(own, x)[0]
+    found = expand_likelihood(own, x).curvature[0]
     weighted = SLOPE_HZ / sigma[:, None]
     np.testing.assert_allclose(found[:2, :2], by_location * weighted.T @ weighted, rtol=1e-7)
     assert found[2, 2] * 0.02**2 == pytest.approx(4 * by_scale, rel=1e-7)
@@ -148,7 +148,7 @@ def test_curvature_of_a_prior_is_its_own() -> None:
         np.zeros(4),
     )
     x = np.array([[0.3, 0.1]])
-    added = expand(own, x).curvature - information(own, x)
+    added = expand(own, x).curvature - expand_likelihood(own, x).curvature
     np.testing.assert_allclose(added[0], np.diag([1.0 / sd**2, 0.0]), rtol=1e-6, atol=1e-6)
 
 

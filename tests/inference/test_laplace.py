@@ -15,7 +15,6 @@ from cpam_bayes.inference.laplace import (
     gauss_newton_covariance,
     laplace_log_evidence,
     maximise,
-    optimise,
     polish,
 )
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
@@ -276,7 +275,7 @@ def test_an_optimum_at_the_edge_of_the_constraints_is_found() -> None:
 
 def test_a_start_outside_the_support_is_refused() -> None:
     with pytest.raises(ValueError, match="start of an optimisation lies outside"):
-        optimise(independent((3.0,)), np.array([np.nan]))
+        find_optima(independent((3.0,)), np.array([[np.nan]]))
 
 
 def test_covariance_adds_the_variance_of_the_priors() -> None:

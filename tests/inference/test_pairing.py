@@ -64,9 +64,10 @@ def test_a_stack_of_parameter_sets_gives_what_each_gives_alone() -> None:
     rng = np.random.default_rng(0)
     log_density = rng.normal(size=(5, 4, 6))
     in_range = rng.uniform(size=(5, 6)) < 0.7
-    together = monotone_log_likelihood(log_density, in_range, 3.0)
+    together = monotone_log_likelihood(log_density, in_range, 3.0, PairingPrior())
     alone = [
-        monotone_log_likelihood(d[None], r[None], 3.0)[0] for d, r in zip(log_density, in_range, strict=True)
+        monotone_log_likelihood(d[None], r[None], 3.0, PairingPrior())[0]
+        for d, r in zip(log_density, in_range, strict=True)
     ]
     np.testing.assert_allclose(together, alone, rtol=1e-14)
 
@@ -81,6 +82,7 @@ def test_labelled_frequencies_keep_their_modes_and_the_others_are_summed_over(se
     false = rng.uniform(0.01, 1.0) if seed % 2 else tuple(rng.uniform(0.01, 30.0, n).tolist())
     prior = PairingPrior(rng.uniform(0.01, 0.5), false)
     own = np.flatnonzero(labelled)
+    known = np.where(labelled, np.arange(n), -1)
     rows, columns = np.setdiff1d(np.arange(n), own), np.setdiff1d(np.arange(k), own)
     fixed = sum(np.log1p(-prior.missed) + log_density[i, i] for i in own)
     expected = []
@@ -92,8 +94,8 @@ def test_labelled_frequencies_keep_their_modes_and_the_others_are_summed_over(se
         expected.append((value + fixed, whole))
     values = np.array([v for v, _ in expected])
     total = np.logaddexp.reduce(values)
-    found = labelled_log_likelihood(log_density[None], in_range[None], 7.0, labelled, prior)[0]
-    best = most_probable_labelled_pairing(log_density, in_range, 7.0, labelled, prior)
+    found = labelled_log_likelihood(log_density[None], in_range[None], 7.0, known, prior)[0]
+    best = most_probable_labelled_pairing(log_density, in_range, 7.0, known, prior)
     assert found == pytest.approx(total, abs=1e-10)
     np.testing.assert_array_equal(best.mode, expected[int(values.argmax())][1])
     assert best.log_probability == pytest.approx(values.max() - total, abs=1e-10)

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import cpam_bayes as cb
-from cpam_bayes.forward_model.calculix import solve_modes
+from cpam_bayes.forward_model.calculix.run import solve_modes
 from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.plate import Sensor, Specimen
 from tests.plate_file import described

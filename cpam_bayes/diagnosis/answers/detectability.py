@@ -14,10 +14,8 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.special import ndtri
 from scipy.stats import qmc
@@ -38,10 +36,10 @@ from cpam_bayes.diagnosis.hypotheses import (
 )
 from cpam_bayes.diagnosis.signatures import ABSORBED, ALIKE, AS_WELL, HARDLY
 from cpam_bayes.inference.log_density import LogDensity
+from cpam_bayes.inference.student_mixture import log_sum_exp
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter
 from cpam_bayes.running import single_blas_thread
-
-Array = NDArray[Any]
 
 # Scores of the size at which shifts at a place are computed.
 _SCORES = np.linspace(-SIZE_RANGE, SIZE_RANGE, 19)
@@ -93,12 +91,8 @@ def _line(t: Tested, score: Array, shift: Array, log_prior: float = 0.0) -> list
     at = np.clip(prior.from_normal(fine), x[0], x[-1])
     log_prior += float(np.log(t.hypothesis.prior))
     curve = PchipInterpolator(x, shift, axis=0)(at)
-    return [ShiftLine(t.hypothesis.cause, log_prior, fine, at - _null(t), np.asarray(curve))]
-
-
-def _null(t: Tested) -> float:
     null = t.hypothesis.parameters[0].null
-    return 0.0 if null is None else null
+    return [ShiftLine(t.hypothesis.cause, log_prior, fine, at - (null or 0.0), np.asarray(curve))]
 
 
 def _at_places(t: Tested, none: Marginal) -> list[ShiftLine]:
@@ -177,16 +171,7 @@ class _Gaussians:
         a, b = (noise - self.mean) @ turned, shift @ turned
         squares = 2.0 * a @ np.swapaxes(b, 1, 2)
         squares += np.einsum("gni,gni->gn", a, a)[:, :, None] + np.einsum("gmi,gmi->gm", b, b)[:, None]
-        return _log_sum(self.log_weight[:, None, None] - 0.5 * squares)
-
-
-def _log_sum(terms: Array) -> Array:
-    """Logarithm of the sum of exponentials over the first axis."""
-    if len(terms) == 1:
-        return np.asarray(terms[0])
-    top = np.maximum(terms.max(axis=0), -1e300)
-    with np.errstate(divide="ignore"):
-        return np.asarray(top + np.log(np.exp(terms - top).sum(axis=0)))
+        return log_sum_exp(self.log_weight[:, None, None] - 0.5 * squares, axis=0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +202,8 @@ class _Level:
         with np.errstate(divide="ignore"):
             each = [np.log(self.factor[:, b] @ weight[b]) + top + plain for b in self.blocks]
         each += [
-            _log_sum(np.stack([g.log_density(noise, shift) for g in of_cause])) for of_cause in self.others
+            log_sum_exp(np.stack([g.log_density(noise, shift) for g in of_cause]), axis=0)
+            for of_cause in self.others
         ]
         return np.stack(each)
 
@@ -247,7 +233,9 @@ class LinearOracle:
 
     def log_weights(self, shift: Array) -> Array:
         """Log of prior times evidence of every cause for shifts (m, n_f), (n_causes, n, m)."""
-        return _log_sum(np.stack([level.log_evidences(self.noise, shift) for level in self.levels]))
+        return log_sum_exp(
+            np.stack([level.log_evidences(self.noise, shift) for level in self.levels]), axis=0
+        )
 
     def alike(self, shift: Array) -> Array:
         """True where a cause cannot be distinguished from the one that shifts by (m, n_f), (n_causes, m).
@@ -501,16 +489,15 @@ def detectable(
     """The smallest detectable size of every single cause that was tested, in the order of their probability.
 
     The lists are simulated at the plain model's optimum with a cause of some size and noise as stated, or
-    from the posterior of the repeatability; a claim is made as for the lists themselves, by the evidences of
-    all causes (`linear_oracle`). Sizes share the draws of the noise. Incomplete lists are paired as is most
-    probable under the plain model.
+    from the posterior of the repeatability; a claim is made as for the lists themselves (`linear_oracle`).
+    Incomplete lists are paired as is most probable under the plain model.
 
     cases, executor : the plates, and where the causes are worked on
     """
     weighed = weighed.in_plain_pairing()
     lines = shift_lines(weighed.tested, weighed.none.marginal)
     oracle = linear_oracle(weighed, lines, _DRAWS, np.random.default_rng(_SEED))
-    wanted: list[_Sought] = []
+    wanted: list[tuple[LinearOracle, str, Parameter | None, list[ShiftLine]]] = []
     for cause in weighed.by_cause():
         if cause in (NONE, OTHER) or len(causes_in(cause)) > 1:
             continue
@@ -523,11 +510,9 @@ def detectable(
     return tuple(shared_out(_detectable, cases, wanted, executor, common=oracle))
 
 
-_Sought = tuple[LinearOracle, str, Parameter | None, list[ShiftLine]]
-
-
-def _detectable(item: _Sought) -> Detectable:
-    oracle, cause, size_of, some = item
+def _detectable(
+    oracle: LinearOracle, cause: str, size_of: Parameter | None, some: list[ShiftLine]
+) -> Detectable:
     by_place = [_worse_sign(oracle, line) for line in some]
     if not by_place:
         return Detectable(cause, size_of, None, None)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed
 from cpam_bayes.diagnosis.hypotheses import Claim
 from cpam_bayes.inference.proposal import maximised
+from cpam_bayes.mechanics.problem import Array
 
 # Fraction of the posterior from which an optimum is reported; nodes that optima are sought from, and the
 # fraction that makes one worth it.
@@ -105,8 +105,6 @@ def _apart(z: Array, curvature: Array, columns: list[int], fraction: Array) -> t
             carry.append(int(k))
     return [k for k in carry if whole[k] > _LEAST_FRACTION], whole
 
-
-Array = NDArray[Any]
 
 FACTORS: Final = (3.0, 1.0 / 3.0)
 """Factors on the scales of the causes' sizes and of an inferred repeatability."""

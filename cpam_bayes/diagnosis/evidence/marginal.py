@@ -1,23 +1,17 @@
 """What one hypothesis says of the lists: its optima, a proposal about them, and its marginal likelihood.
 
-All optima over constants and sizes together are sought first. A size that the data determine is one
-Gaussian more. One that they do not determine has a density that no Gaussian describes: skew, taper, warp and
-turned plies have zero slope at zero by symmetry, what can only add piles up at zero, and a place is anywhere.
-The proposal then has components at nodes that fill the priors of such sizes. The evidence by these Gaussians
-ranks hypotheses; what comes near the best one is integrated by importance sampling from its proposal.
-
-A tested hypothesis keeps its marginal likelihood, its best fit, and its shifts of the frequencies at the
-plain model's optimum.
+A size that the data determine is one Gaussian more. One that they leave open has a density that no Gaussian
+describes: skew, taper, warp and turned plies have zero slope at zero by symmetry, what can only add piles up
+at zero, and a place is anywhere. The proposal has components at nodes that fill the priors of such sizes. The
+evidence by these Gaussians ranks hypotheses; what comes near the best one is sampled (`sampled`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.comparison import PlateCase, effect_columns
@@ -35,10 +29,9 @@ from cpam_bayes.inference.laplace import maximise
 from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.inference.proposal import Optima, about
 from cpam_bayes.inference.student_mixture import Mixture, sobol_points
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter
 from cpam_bayes.running import single_blas_thread
-
-Array = NDArray[Any]
 
 # A size is determined where its score's standard deviation is below this at every optimum that carries mass.
 _DETERMINED_SD, _CARRIES = 0.15, 1e-3
@@ -250,9 +243,7 @@ def size_nodes(comparison: LogDensity, sizes: tuple[int, ...]) -> tuple[Array, A
 def shift_table(
     comparison: LogDensity, effect: Sequence[Parameter], sizes: tuple[int, ...], about: Marginal
 ) -> ShiftTable:
-    """Shifts by an effect at the optimum of another hypothesis.
-
-    What that hypothesis lacks is at its prior median.
+    """Shifts by an effect at the optimum of another hypothesis; what that lacks is at its prior median.
 
     Nodes at which the plate buckles or the constraints (9) are broken are left out, if need be all.
 
@@ -325,6 +316,14 @@ class Tested:
 def ranked(tested: Sequence[Tested]) -> list[Tested]:
     """Hypotheses, those with most prior times evidence first."""
     return sorted(tested, key=lambda t: t.log_weight, reverse=True)
+
+
+def best_by_cause(order: Iterable[Tested]) -> dict[str, Tested]:
+    """The first hypothesis of every cause, in this order."""
+    best: dict[str, Tested] = {}
+    for t in order:
+        best.setdefault(t.hypothesis.cause, t)
+    return best
 
 
 def distinct_hypotheses(tested: Sequence[Tested]) -> list[Hypothesis]:

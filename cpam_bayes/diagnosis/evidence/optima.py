@@ -1,21 +1,17 @@
-"""All optima of a hypothesis over constants and sizes together, from many starts.
+"""All optima of a hypothesis over constants and sizes together, and at held sizes.
 
-The plain model's optimum is a good start for faint effects and a bad one for gross errors: plies turned by
-several degrees move the constants as far as the effect itself. Draws of the prior are therefore screened on
-the reduced model, the best of them optimised in rounds, fewer and further each time, together with what is
-known already (the plain model's optima, the reference).
-
-Where the data leave sizes open, optima of constants and noise at held sizes are centres of a proposal.
+The plain model's optimum is a good start for faint effects and a bad one for gross errors, which move the
+constants far. Draws of the prior are therefore screened, and the best of them optimised in rounds, fewer and
+further each time, together with what is known already.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import qmc
 
@@ -24,8 +20,7 @@ from cpam_bayes.inference.laplace import maximise
 from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.inference.proposal import Optima, maximised
 from cpam_bayes.mechanics.modes import RigidBodyError
-
-Array = NDArray[Any]
+from cpam_bayes.mechanics.problem import Array
 
 # Scores of sizes are spread evenly this far: gross errors are in the tails of their priors.
 SIZE_RANGE = 3.6

@@ -1,22 +1,17 @@
 """The pairings of incomplete lists that carry probability, sought under the plain model.
 
-Every pairing is a hypothesis of its own about the list, and an evidence is the sum over them,
-sum_pi p(pi) Z(h, pi). Pairings are proposed by dynamic programming at draws of the prior and at optima, first
-with a large noise, so that what is wrong with the model is not taken for false peaks; with their neighbours
-they are fitted all at once. A missed mode moves all frequencies above it by several per cent, and the
-constants of the true pairing lie far from those of the wrong one: every pairing is fitted from several draws
-of the prior, one stack of solves serves all of them, and only those that explain the list nearly as well as
-the best go on.
+An evidence is the sum over all pairings, sum_pi p(pi) Z(h, pi). They are proposed by dynamic programming at
+draws of the prior and at optima, first with a large noise, so that what is wrong with the model is not taken
+for false peaks, and fitted with their neighbours. The constants of the true pairing lie far from those of a
+wrong one: each is fitted from several draws of the prior, and one stack of solves serves all of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.cases import (
     is_incomplete,
@@ -33,8 +28,7 @@ from cpam_bayes.diagnosis.hypotheses import NONE, Hypothesis
 from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion
 from cpam_bayes.inference.laplace import Maxima, maximise, promised_gain
 from cpam_bayes.inference.log_density import LogDensity, kept_of
-
-Array = NDArray[Any]
+from cpam_bayes.mechanics.problem import Array
 
 # Draws that each pairing is fitted from, those that go on, and the steps of both rounds.
 _FIRST, _FIRST_STEPS, _SECOND, _SECOND_STEPS = 5, 4, 2, 14
@@ -99,20 +93,14 @@ def repairings(
 
 def all_modes(plain: LogDensity) -> tuple[LogDensity, list[int]]:
     """The comparison with every mode of every plate as if it were listed, and where each plate's begin."""
-    sizes = [
-        len(part.bare.predict(_middle(plain, i)).frequencies[0]) for i, part in enumerate(plain.model.parts)
-    ]
+    middle = plain.scores.to_x(np.zeros((1, plain.parameters.size)))
+    sizes = [len(part.bare.predict(part.plate_vector(middle)).frequencies[0]) for part in plain.model.parts]
     parts = tuple(
         replace(part, modes=np.arange(size), misread=())
         for part, size in zip(plain.model.parts, sizes, strict=True)
     )
     offsets = [0, *np.cumsum(sizes)[:-1].tolist()]
     return replace(plain, model=replace(plain.model, parts=parts)), offsets
-
-
-def _middle(plain: LogDensity, i: int) -> Array:
-    x = plain.scores.to_x(np.zeros((1, plain.parameters.size)))
-    return plain.model.parts[i].plate_vector(x)
 
 
 def _indices(
@@ -247,8 +235,8 @@ def plain_pairings(
 ) -> tuple[tuple[PairedLists, ...], tuple[PairedLists, ...]]:
     """Pairings of incomplete lists that the plain model's evidence is over, and those that others begin with.
 
-    The latter are the best of the plain model and the best where its misfit is forgiven. Of several
-    incomplete lists the pairing of one at a time is varied, the others as they are most probable.
+    The latter are the best of the plain model and the best where its misfit is forgiven. Of several lists one
+    at a time is varied.
     """
     incomplete = [i for i, case in enumerate(cases) if is_incomplete(case)]
     at = PairedLists(tuple(cases))
@@ -272,7 +260,8 @@ def _and(p: PairedLists, i: int, best: PairedLists) -> PairedLists:
 
 def in_order(cases: Sequence[PlateCase]) -> Cases:
     """The plates with every frequency of an incomplete list given to a mode, none false."""
-    return tuple(with_pairing(c, _filled(c)) if is_incomplete(c) else c for c in cases)
+    # a false peak has any mode
+    return tuple(with_pairing(c, np.maximum(c.modes, 0)) if is_incomplete(c) else c for c in cases)
 
 
 def pairing_at(
@@ -394,8 +383,3 @@ def _forgiving(comparison: LogDensity, relative: float) -> LogDensity:
 
 def _with(cases: Sequence[PlateCase], i: int, case: PlateCase) -> Cases:
     return (*cases[:i], case, *cases[i + 1 :])
-
-
-def _filled(case: PlateCase) -> Array:
-    """Modes of a list whose false peaks have any mode: what stands for the whole list."""
-    return np.where(case.modes >= 0, case.modes, 0)

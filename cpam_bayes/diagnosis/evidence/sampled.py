@@ -14,42 +14,37 @@ from io import BytesIO
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.evidence.marginal import Marginal, Tested
 from cpam_bayes.diagnosis.hypotheses import NONE
 from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.inference.proposal import Rounds, adaptive_importance, refitted_moments
-from cpam_bayes.inference.student_mixture import (
-    Weighted,
-    sobol_points,
-)
+from cpam_bayes.inference.student_mixture import Weighted, sobol_points
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parallel import Lasting, ProcessPool, lasting, run
 from cpam_bayes.running import single_blas_thread
 
-Item = TypeVar("Item")
 Answer = TypeVar("Answer")
 
 Held = list[Any]
 
 
 def shared_out(
-    work: Callable[[Item], Answer],
+    work: Callable[..., Answer],
     cases: Sequence[PlateCase],
-    items: Sequence[Item],
+    items: Sequence[tuple[Any, ...]],
     executor: Executor | None = None,
     *,
     common: Any = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> list[Answer]:
-    """``work(item)`` of every item, in the order of the items, the same bit for bit on any executor.
+    """``work(*item)`` of every item, in the order of the items, the same bit for bit on any executor.
 
-    Items and answers may hold the models of the plates: a worker is sent these once and puts its copies in
-    their place, and in the answers the models of this process come back. Where something cannot be sent, an
-    effect of a script for instance, this process does the work itself.
+    Items and answers may hold the models of the plates: a worker is sent these once, and in the answers those
+    of this process come back. Where something cannot be sent, this process does the work itself.
 
-    work : a function of a module
+    work : a function of a module or of a class
     common : what all items hold beside the models, sent once
     progress : is told the number of items that are done
     """
@@ -60,7 +55,7 @@ def shared_out(
         held = [common, *held]
         packed = [_packed(held, item) for item in items]
     except (pickle.PicklingError, AttributeError, TypeError):
-        return [work(item) for item in items]
+        return [work(*item) for item in items]
     done: list[int] = []
 
     def count(index: int, answer: bytes) -> None:
@@ -89,7 +84,7 @@ class _Call:
     common : a pickle of what they hold beside these
     """
 
-    work: Callable[[Any], Any]
+    work: Callable[..., Any]
     models: Lasting
     common: bytes
 
@@ -101,7 +96,7 @@ class _Call:
 
 
 def _worked(call: _Call, item: bytes) -> bytes:
-    return _packed(call.held, call.work(_unpacked(call.held, item)))
+    return _packed(call.held, call.work(*_unpacked(call.held, item)))
 
 
 def _held(cases: Sequence[PlateCase]) -> Held:
@@ -144,8 +139,6 @@ class _Unpacker(pickle.Unpickler):
     def persistent_load(self, pid: int) -> Any:
         return self._held[pid]
 
-
-Array = NDArray[Any]
 
 # Models are projected once more, on modes at so many points of the proposal, log2, so that this fraction of
 # their frequencies has a relative error below the tolerance.
@@ -221,8 +214,7 @@ def sampled_near_the_best(
     return [t if each is None else next(sampled) for t, each in zip(tested, rounds, strict=True)]
 
 
-def _sampled(item: tuple[Tested, Rounds]) -> Tested:
-    t, rounds = item
+def _sampled(t: Tested, rounds: Rounds) -> Tested:
     return replace(t, marginal=sampled_marginal(t.marginal, rounds))
 
 

@@ -7,10 +7,8 @@ from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from cpam_bayes.diagnosis.cases import is_incomplete
@@ -26,6 +24,7 @@ from cpam_bayes.diagnosis.evidence.marginal import (
     Marginal,
     ShiftTable,
     Tested,
+    best_by_cause,
     laplace_marginal,
     ranked,
     shift_table,
@@ -47,9 +46,8 @@ from cpam_bayes.effects import ListChange
 from cpam_bayes.forward_model.composed import ComposedModel
 from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.running import cut_short, is_time_up, time_limit
-
-Array = NDArray[Any]
 
 # A hypothesis explains a list whose misfit is no larger with more than this probability.
 EXPLAINED = 1e-3
@@ -129,8 +127,7 @@ def fitted(
 def plain_starts(comparison: LogDensity, none: Marginal | None) -> Array:
     """Scores (s, n) of the plain model's optima and of the prior medians, zero for what it lacks.
 
-    Sizes that can only add begin from hardly anything too: where the median is a gross error, optimisations
-    from there are given up long before they are back at the plain model.
+    Sizes that can only add begin from hardly anything too: their medians may be gross errors.
     """
     medians = np.zeros((1, comparison.parameters.size))
     if none is None:
@@ -239,8 +236,7 @@ class Scan:
     def test(self, trials: Sequence[Trial], progress: Callable[[int], None] = lambda done: None) -> None:
         """Fit hypotheses from many starts, round by round; those that cannot be tested are noted.
 
-        Where the plain model explains the lists, what is wrong is faint and lies next to it. What is hopeless
-        is known from the rounds before, so that the answer does not depend on who is first.
+        What is hopeless is known from the rounds before: the answer does not depend on who is first.
 
         progress : is told the number of trials that are done
         """
@@ -265,7 +261,7 @@ class Scan:
         def count(done: int) -> None:
             progress(before + done)
 
-        for tried in shared_out(_tried, self.cases, items, self.executor, common=scan, progress=count):
+        for tried in shared_out(Scan.tried, self.cases, items, self.executor, common=scan, progress=count):
             self.tested += tried.tested
             self.not_tested += tried.not_tested
             self.best = max(self.best, tried.best)
@@ -352,9 +348,7 @@ class Scan:
         """A hypothesis with its pairing and the plain model's, where lists are incomplete."""
         if not self.is_incomplete:
             return Tested(hypothesis, plates, marginal)
-        as_plain = comparison_of(
-            self.plain_cases, about(self.cases, hypothesis, plates), scatter=self.scatter
-        )
+        as_plain = self.density(hypothesis, plates, self.plain_cases)
         return Tested(hypothesis, plates, marginal, cases=cases, as_plain=as_plain)
 
     def _add_pairings(
@@ -391,14 +385,10 @@ class Scan:
             return
         paired = list({lists.key: lists.cases for lists in (*self.pairings, *self.seeds)}.values())
         entries = [(h, plates, cases) for h, plates in variants for cases in paired]
-        comparisons = [
-            comparison_of(cases, about(self.cases, h, plates), scatter=self.scatter)
-            for h, plates, cases in entries
-        ]
+        comparisons = [self.density(*entry) for entry in entries]
         plain = self.none.comparison
         if self.is_incomplete:
-            whole = in_order(self.cases)
-            plain = comparison_of(whole, self.tested[0].hypothesis, scatter=self.scatter)
+            plain = self.density(self.tested[0].hypothesis, self.tested[0].plates, in_order(self.cases))
         fits = repairings(plain, comparisons, self.none.z[:2])
         value = np.array([fit.log_density for fit in fits])
         order = np.argsort(-value, kind="stable")
@@ -417,18 +407,12 @@ class Scan:
             self.tested.append(replace(t, shift=self.shift_of(hypothesis, t)))
 
     def test_leftovers(self) -> None:
-        """Fit the best variants of leading causes that leave a misfit, with what nothing explains beside.
-
-        Where the plain model explains the lists there is nothing to be left over, and nothing is where
-        everything has a cause.
-        """
+        """Fit the best variants of leading causes that leave a misfit, with what nothing explains beside."""
         if self.is_explained:
             return
-        leading: dict[str, Tested] = {}
-        for t in ranked(self.tested):
-            if t.hypothesis.cause not in (NONE, OTHER):
-                leading.setdefault(t.hypothesis.cause, t)
-        other = next((t for t in ranked(self.tested) if t.hypothesis.cause == OTHER), None)
+        leading = best_by_cause(ranked(self.tested))
+        leading.pop(NONE, None)
+        other = leading.pop(OTHER, None)
         if other is None:
             return
         scan = replace(self, tested=self.tested[:1], not_tested=[], executor=None)
@@ -440,9 +424,7 @@ class Scan:
         beside = {
             t.key: found
             for (_, t, _), found in zip(
-                items,
-                shared_out(_leftovers, self.cases, items, self.executor, common=scan),
-                strict=True,
+                items, shared_out(Scan.leftovers, self.cases, items, self.executor, common=scan), strict=True
             )
             if found
         }
@@ -487,16 +469,6 @@ class Scan:
             return None
         table = shift_table(comparison, hypothesis.parameters, sizes, self.none)
         return table if len(table.scores) else None
-
-
-def _tried(item: tuple[Scan, Trial]) -> Tried:
-    scan, trial = item
-    return scan.tried(trial)
-
-
-def _leftovers(item: tuple[Scan, Tested, Marginal]) -> list[Tested]:
-    scan, t, other = item
-    return scan.leftovers(t, other)
 
 
 def misfit_probability(marginal: Marginal) -> float:

@@ -3,12 +3,10 @@
 Where the log frequencies are linear in the scores of the constants and the shifts of two effects add, the
 constants are integrated in closed form at every two nodes of the effects' sizes: about the plain model's
 optimum, or about that of a leading set, to which a cause is added. Where nothing explains the lists, gross
-errors lead these optima astray: pairs are ranked about the prior medians too, and, unless one cause explains
-them, about the constants of the best pair, until no better one turns up. An error of a list may show only
-once a cause of the plate is there: where no two causes explain the lists, the leading causes of the plates
-are fitted together with every error of the lists, all of these at once. A further cause that does not show is
-not fitted. What the closed form gives the sets that show and were not fitted, at most about any of these
-points, is unaccounted for, and the search goes on while that is more than a hundredth.
+errors lead these optima astray: pairs are ranked about the prior medians too, and about the constants of the
+best pair. An error of a list may show only once a cause of the plate is there: leading causes are then fitted
+together with every error of the lists. What the closed form gives the sets that show and were not fitted, at
+most about any of these points, is unaccounted for; the search goes on while that is over a hundredth.
 """
 
 from __future__ import annotations
@@ -17,14 +15,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import expit, logsumexp
 
 from cpam_bayes.diagnosis.comparison import PlateCase, comparison_of, effect_columns
-from cpam_bayes.diagnosis.evidence.marginal import Marginal, Tested, ranked, shift_table
+from cpam_bayes.diagnosis.evidence.marginal import Marginal, Tested, best_by_cause, ranked, shift_table
 from cpam_bayes.diagnosis.evidence.pairing_search import Cases, repairings
 from cpam_bayes.diagnosis.evidence.sampled import shared_out
 from cpam_bayes.diagnosis.evidence.scan import (
@@ -49,9 +46,8 @@ from cpam_bayes.diagnosis.hypotheses import (
 )
 from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.mechanics.modes import RigidBodyError
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.running import cut_short, is_time_up
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,16 +254,14 @@ class _SetSearch:
         """The constants of a cause or a set, without what it does."""
         scan, comparison = self.scan, self.scan.none.comparison
         if tested.cases:
-            comparison = comparison_of(tested.cases, scan.tested[0].hypothesis, scatter=scan.scatter)
+            plain = scan.tested[0]
+            comparison = scan.density(plain.hypothesis, plain.plates, tested.cases)
         constants = comparison.carried(tested.marginal.comparison, tested.marginal.z[:1])
         return _Point(replace(scan.none, comparison=comparison, z=constants), tested.cases)
 
     def leaders(self) -> list[Tested]:
         """The best variants of the leading causes."""
-        leaders: dict[str, Tested] = {}
-        for t in self.causes:
-            leaders.setdefault(t.hypothesis.cause, t)
-        return list(leaders.values())[: SETS.leaders]
+        return list(best_by_cause(self.causes).values())[: SETS.leaders]
 
     def best(self) -> Tested | None:
         """The most probable set that was fitted."""
@@ -334,10 +328,7 @@ class _SetSearch:
 
         Of two misread frequencies neither may suit the plain model alone: all two are tried beside it.
         """
-        scan, leaders = self.scan, dict[str, Tested]()
-        for t in self.causes:
-            if t.hypothesis.effects:
-                leaders.setdefault(t.hypothesis.cause, t)
+        scan, leaders = self.scan, best_by_cause(t for t in self.causes if t.hypothesis.effects)
         of_plates: dict[tuple[int, ...], list[Hypothesis]] = {}
         for error, plates in errors:
             of_plates.setdefault(plates, []).append(error)
@@ -463,8 +454,7 @@ def _linear(marginal: Marginal) -> list[_Linear]:
 def _shifts(scan: Scan, point: _Point, t: Tested) -> _Shifts | None:
     """The shifts of a cause that can act beside the leader of a point.
 
-    ``None`` where it is about the list and has no size, where modes are paired otherwise, and where the plate
-    buckles or breaks the constraints (9) with any size.
+    ``None`` where it has none, where modes are paired otherwise, and where no size keeps the plate sound.
     """
     hypothesis, sizes = t.hypothesis, t.marginal.sizes
     if not hypothesis.effects and not sizes:
@@ -478,8 +468,7 @@ def _shifts(scan: Scan, point: _Point, t: Tested) -> _Shifts | None:
         listed = hypothesis.listed
         if point.leader is not None and point.leader.hypothesis.listed.changes_pairing:
             listed = point.leader.hypothesis.listed
-        of_plates = about(scan.cases, replace(hypothesis, listed=listed), t.plates)
-        comparison = comparison_of(point.cases or scan.cases, of_plates, scatter=scan.scatter)
+        comparison = scan.density(replace(hypothesis, listed=listed), t.plates, point.cases)
         sizes = effect_columns(comparison, hypothesis)
     try:
         table = shift_table(comparison, hypothesis.parameters, sizes, point.marginal)
@@ -519,11 +508,10 @@ def _start(scan: Scan, candidate: _Candidate) -> Array:
 
 
 def _promising(
-    item: tuple[tuple[PlateCase, ...], Tested, tuple[Hypothesis, ...], float],
+    cases: tuple[PlateCase, ...], t: Tested, pairs: tuple[Hypothesis, ...], scatter: float
 ) -> list[tuple[int, Array]]:
     """Numbers of the pairs with a cause that fit the lists best, and starts (s, n) of each."""
-    all_cases, t, pairs, scatter = item
-    cases = t.cases or all_cases
+    cases = t.cases or cases
     comparisons = [comparison_of(cases, about(cases, pair, t.plates), scatter=scatter) for pair in pairs]
     alone = comparison_of(cases, about(cases, t.hypothesis, t.plates), scatter=scatter)
     sizes = effect_columns(alone, t.hypothesis)

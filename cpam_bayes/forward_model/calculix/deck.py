@@ -1,10 +1,9 @@
 """The input deck of a plate in ABAQUS format, which ABAQUS and CalculiX both read, and the mesh in it.
 
-Units are N, m, kg and s. The plate lies in x and y, its midplane at z = 0. The mesh has 8-node shells, or
-20-node bricks in layers through the thickness. Both are regular grids of vertices and of the middles
-between two neighbouring vertices; a node stands where at most one of its indices is a middle. Edge elements
-are narrow: a free edge has a twisting boundary layer as wide as the thickness, and the stress at a clamped
-face is singular.
+Units are N, m, kg and s. The mesh has 8-node shells, or 20-node bricks in layers through the thickness:
+regular grids of vertices and of the middles between two neighbouring ones; a node stands where at most one of
+its indices is a middle. Edge elements are narrow: a free edge has a twisting boundary layer as wide as the
+thickness, and the stress at a clamped face is singular.
 """
 
 from __future__ import annotations
@@ -209,10 +208,8 @@ def plate_deck(
 ) -> Deck:
     """The deck of a specimen: mesh, plies, edges, known masses, a step for its modes.
 
-    Shells are S8R with a composite section. Bricks are C3D20R in layers: each run of equal plies
-    has its own layers of elements, no ply is averaged with another. Plies are those of
-    `material_card`. Edges hold the fields that `plate.edges` names,
-    bricks on the whole face.
+    Shells are S8R with a composite section. Bricks are C3D20R in layers, of which each run of equal plies has
+    its own. Plies are those of `material_card`. Bricks are held on the whole face of an edge.
 
     constants : E1, E2, nu12, G12, G13, G23, all six, Pa or dimensionless; of a hybrid those of each material.
     n_modes : deformation modes; the step asks for the rigid-body motions beside them.
@@ -230,7 +227,7 @@ def plate_deck(
         mesh, owner = shell_mesh(*lines), np.zeros(1, dtype=np.int64)
     else:
         z, owner = layer_boundaries(runs.heights)
-        lines = _lines(specimen, in_plane or _bricks_in_plane(len(owner)))
+        lines = _lines(specimen, in_plane or int(np.clip(_BRICKS // len(owner), *_BRICKS_IN_PLANE)))
         _check_size(lines, len(owner))
         mesh = brick_mesh(*lines, z)
     unique, which = np.unique(runs.angles, return_inverse=True)
@@ -317,11 +314,6 @@ def _material_cards(specimen: Specimen, constants: Mapping[str, float], runs: Pl
     return cards
 
 
-def _bricks_in_plane(n_layers: int) -> int:
-    fewest, most = _BRICKS_IN_PLANE
-    return int(np.clip(_BRICKS // n_layers, fewest, most))
-
-
 def _lines(specimen: Specimen, in_plane: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     plate, sensors = specimen.plate, specimen.sensors
     along_x, along_y = element_counts(plate.length, plate.width, in_plane)
@@ -405,13 +397,7 @@ def _heading(specimen: Specimen, element: Element) -> str:
     plate = specimen.plate
     about = f"Plate {specimen.name}, layup {plate.layup.text}, edges {plate.edges}"
     shown = "".join(c if c.isascii() and c.isprintable() else "?" for c in about)
-    return "\n".join(
-        [
-            "*HEADING",
-            shown[:78],
-            f"** {_TYPE[element]}; units N, m, kg, s; midplane at z = 0",
-        ]
-    )
+    return "\n".join(["*HEADING", shown[:78], f"** {_TYPE[element]}; units N, m, kg, s; midplane at z = 0"])
 
 
 def node_block(mesh: PlateMesh) -> str:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.local.fields import PatchForm, field_parts
 from cpam_bayes.forward_model.local.model import Change, LocalModel, PointMass
@@ -18,13 +16,11 @@ from cpam_bayes.forward_model.reduced import compressed
 from cpam_bayes.mechanics.affine import AffineOperator, DenseBlock
 from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.loaded import LoadedBlock, symmetry_parts
-from cpam_bayes.mechanics.problem import MEMBRANE_FIELDS, Problem, rigid_body_count
+from cpam_bayes.mechanics.problem import MEMBRANE_FIELDS, Array, Problem, rigid_body_count
 from cpam_bayes.mechanics.ritz import RitzSettings, RitzSpace, evaluate_sector, ritz_space
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate.edges import FIELDS
 from cpam_bayes.running import single_blas_thread
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,23 +41,7 @@ class LocalSettings:
     rest: float = 5e-3
 
 
-@dataclass(frozen=True, slots=True)
-class BarePlate:
-    """The plate that a local change is added to.
-
-    problem, settings : the plate and the space on which it is converged
-    samples : (m, n_parameters), the centre of its priors first
-    error : (n_modes,) relative, of the solver
-    """
-
-    problem: Problem
-    settings: RitzSettings
-    samples: Array
-    n_modes: int
-    error: Array
-
-
-DEFAULT_SETTINGS = LocalSettings()
+POINT_SETTINGS = LocalSettings()
 PATCH_SETTINGS = LocalSettings(further=8, modes=6, constants=10, places=24, leading=3e-4, rest=1e-3)
 # Shift of the energy over the lowest eigenvalue: it makes a free plate stiff.
 _SHIFT = 0.3
@@ -86,20 +66,21 @@ def local_space(problem: Problem, settings: RitzSettings) -> RitzSpace:
 
 
 @single_blas_thread
-def point_mass_model(
-    plate: BarePlate, added: ParameterSet, how: LocalSettings = DEFAULT_SETTINGS
-) -> LocalModel:
+def point_mass_model(plate: PlateModel, samples: Array, added: ParameterSet) -> LocalModel:
     """A plate with a point mass anywhere.
 
+    plate, samples : converged on a Ritz space, and (m, n_parameters), the centre of its priors first
     added : the mass, kg, its place, and its radius of gyration, m
     """
-    trained, rng = _training(plate, how)
+    how = POINT_SETTINGS
+    trained, rng = _training(plate, samples, how)
     space, parts = trained.plain.operator.space, trained.block.parts
     rows = rows_at(space, parts, _training_places(rng, how.places))
-    # what a mass in rows of the fields adds: its translation, and its rotation about the midplane, of which a
-    # part is enough: what the basis lacks of it is as if the radius of gyration, which is open, were less
+    # its translation, and its rotation about the midplane, of which a part is enough: what the basis lacks of
+    # it is as if the radius of gyration, which is open, were less
     arm = np.hypot(
-        float(np.real(plate.problem.nominal.thickness)) / 2, _ROTATION * added.parameters[3].prior.mean
+        float(np.real(plate.operator.problem.nominal.thickness)) / 2,
+        _ROTATION * added.parameters[3].prior.mean,
     )
     inertia = np.sqrt(added.parameters[0].prior.upper) * np.array([1.0, 1.0, 1.0, arm, arm])[:, None, None]
     by_block = [(inertia * r)[r.any(axis=(1, 2))].reshape(-1, r.shape[-1]) for r in rows]
@@ -114,15 +95,14 @@ def point_mass_model(
 
 
 @single_blas_thread
-def patch_model(
-    plate: BarePlate, added: ParameterSet, form: PatchForm, how: LocalSettings = PATCH_SETTINGS
-) -> LocalModel:
+def patch_model(plate: PlateModel, samples: Array, added: ParameterSet, form: PatchForm) -> LocalModel:
     """A plate with a softer patch anywhere.
 
+    plate, samples : as of ``point_mass_model``
     added : the fraction of stiffness lost, the place, and the extent over the shorter side
     """
-    patch = patch_of(form, plate.problem)
-    trained, rng = _training(plate, how)
+    patch, how = patch_of(form, plate.operator.problem), PATCH_SETTINGS
+    trained, rng = _training(plate, samples, how)
     indices = [part.index for part in trained.block.parts]
     parts = field_parts(trained.plain.operator.space, indices, [np.eye(len(index)) for index in indices])
     low, high = added.parameters[3].prior.lower, added.parameters[3].prior.upper
@@ -177,18 +157,20 @@ class _Training:
     shift: float
 
 
-def _training(plate: BarePlate, how: LocalSettings) -> tuple[_Training, np.random.Generator]:
+def _training(plate: PlateModel, samples: Array, how: LocalSettings) -> tuple[_Training, np.random.Generator]:
     # the seed is fixed: a model does not depend on the run that first needed it
     rng = np.random.default_rng(0)
-    problem, n_modes = plate.problem, plate.n_modes
-    degrees = plate.settings.degree_x + how.further, plate.settings.degree_y + how.further
-    settings = replace(plate.settings, degree_x=degrees[0], degree_y=degrees[1])
-    operator = discretise(problem, local_space(problem, settings), problem.parameters.mapping(plate.samples))
+    problem, n_modes = plate.operator.problem, plate.n_modes
+    assert plate.basis is not None
+    settings, _ = plate.basis
+    degrees = settings.degree_x + how.further, settings.degree_y + how.further
+    settings = replace(settings, degree_x=degrees[0], degree_y=degrees[1])
+    operator = discretise(problem, local_space(problem, settings), problem.parameters.mapping(samples))
     plain = PlateModel(operator, n_modes, plate.error, (settings, np.empty(0, dtype=bool)))
     many = spread_out(problem, training_sets(problem, 160, rng))
     operator = compressed(operator, *plain.coefficients(many))
     plain, block = replace(plain, operator=operator), symmetry_parts(operator)
-    x = np.vstack((plate.samples[:1], training_sets(problem, how.constants, rng)))
+    x = np.vstack((samples[:1], training_sets(problem, how.constants, rng)))
     stiffness, mass = plain.coefficients(x)
     n_rigid = rigid_body_count(problem.edges)
     wanted = n_rigid + n_modes + how.modes

@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import NDArray
 
-from cpam_bayes.mechanics.problem import STRAIN_ATOMS, Atom
+from cpam_bayes.mechanics.problem import STRAIN_ATOMS, Array, Atom
 from cpam_bayes.mechanics.ritz import Family, RitzSpace, legendre_values
 from cpam_bayes.plate.edges import Field
-
-Array = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,19 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from cpam_bayes.effects import Effect, add_known_mass
 from cpam_bayes.forward_model.local.basis import patch_of, rows_at
 from cpam_bayes.forward_model.local.fields import FieldPart, PointValues, field_parts
 from cpam_bayes.forward_model.local.model import (
-    Change,
     LocalModel,
-    batches_of,
+    PointMass,
     eigenvalues,
     point_inertia,
     prediction,
@@ -33,10 +30,8 @@ from cpam_bayes.forward_model.reduced import by_field
 from cpam_bayes.mechanics.affine import AffineOperator, DenseBlock
 from cpam_bayes.mechanics.loaded import LoadedBlock, symmetry_parts
 from cpam_bayes.mechanics.modes import SUPPORTED_TOLERANCE
-from cpam_bayes.mechanics.problem import rigid_body_count
+from cpam_bayes.mechanics.problem import Array, rigid_body_count
 from cpam_bayes.plate import Sensor
-
-Array = NDArray[Any]
 
 # Modes kept beyond those predicted.
 _FURTHER = 16
@@ -140,19 +135,17 @@ def changed_on_modes(plate: ModalPlate, effect: Effect) -> LocalModel:
     (block,) = plate.model.operator.blocks
     n, loaded = block.size, symmetry_parts(plate.model.operator)
     model = replace(plate.model, operator=replace(plate.model.operator, blocks=(loaded,)))
-    change: Change = MassOnModes()
-    if effect.local != "point":
-        change = PatchOnModes(patch_of(effect.local, plate.model.operator.problem))
+    if effect.local == "point":
+        change: PointMass | Patch = MassOnModes(())
+    else:
+        patch = patch_of(effect.local, plate.model.operator.problem)
+        change = PatchOnModes(patch.form, patch.radius)
     return LocalModel(model, (n,), (n,), plate.parts, effect.parameter_set, plate.shift, change)
 
 
 @dataclass(frozen=True, slots=True)
-class MassOnModes:
-    """A mass glued to the surface of a plate on its modes; parameters as of ``PointMass``."""
-
-    def batches(self, added: Array) -> list[Array]:
-        """Rows of the parameters of the change (m, 4) that are solved together."""
-        return batches_of(np.arange(len(added)))
+class MassOnModes(PointMass):
+    """A mass glued to the surface of a plate on its modes."""
 
     def predict(self, model: LocalModel, x: Array, jacobian: bool) -> Prediction:
         """Frequencies at parameter vectors (m, n)."""
@@ -166,20 +159,14 @@ class MassOnModes:
 
 
 @dataclass(frozen=True, slots=True)
-class PatchOnModes:
-    """A softer patch of a plate on its modes; parameters as of ``Patch``."""
-
-    patch: Patch
-
-    def batches(self, added: Array) -> list[Array]:
-        """Rows of the parameters of the change (m, 4) that are solved together: alike in extent."""
-        return self.patch.batches(added)
+class PatchOnModes(Patch):
+    """A softer patch of a plate on its modes."""
 
     def predict(self, model: LocalModel, x: Array, jacobian: bool) -> Prediction:
         """Frequencies at parameter vectors (m, n)."""
         plate, added = model.split(x)
         energy, mass = _plain(model, plate, jacobian)
-        lost = lost_energy(self.patch, model, plate, added, energy)
+        lost = lost_energy(self, model, plate, added, energy)
         return prediction(eigenvalues(model, energy - added[:, 0, None, None] * lost, mass, False)[0], None)
 
 

@@ -1,18 +1,16 @@
 """Frequencies of a plate with a local change anywhere: a small basis that fits each parameter set.
 
-Per parameter set the Ritz basis is that of the bare plate and the plate's static responses to loads
-where the change is, as of ``mechanics.loaded``. Both stand in one larger basis, common to all places, in
-which the bare plate is a few small blocks.
+Per parameter set it is modes of the bare plate and its static responses to loads where the change is, as of
+``mechanics.loaded``. Both stand in one larger basis, common to all places.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.local.fields import FieldPart, PointValues, values_at_points
 from cpam_bayes.forward_model.model import PlateModel, Prediction, biased
@@ -25,11 +23,9 @@ from cpam_bayes.mechanics.loaded import (
     lowest_modes,
     ritz_basis,
 )
-from cpam_bayes.mechanics.problem import Atom, Derivative, rigid_body_count
+from cpam_bayes.mechanics.problem import Array, Atom, Derivative, rigid_body_count
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate.edges import FIELDS
-
-Array = NDArray[Any]
 
 
 class Change(Protocol):
@@ -129,30 +125,23 @@ def bare_modes(model: LocalModel, plate: Array) -> PlateModes:
     return modes
 
 
-@dataclass(frozen=True, slots=True)
-class ChangedPlate:
-    """The bare plate on its modes and its responses to what its known masses and a change do.
+def changed_plate(
+    model: LocalModel, bare: PlateModes, plate: Array, loads: Array
+) -> tuple[RitzBasis, Array, Array]:
+    """The bare plate at parameter vectors (m, n), ready for a change with loads (m, n_loads, n).
 
-    basis : without either
-    energy, mass : K + shift M and M with the known masses, (m, r, r)
+    On its modes and its responses to what its known masses and the change do; K + shift M and M with these
+    masses, (m, r, r).
     """
-
-    basis: RitzBasis
-    energy: Array
-    mass: Array
-
-
-def changed_plate(model: LocalModel, bare: PlateModes, plate: Array, loads: Array) -> ChangedPlate:
-    """The bare plate at parameter vectors (m, n), ready for a change with loads (m, n_loads, n)."""
     block, m = model.block, len(plate)
     known = np.broadcast_to(block.rows, (m, *block.rows.shape))
     basis = ritz_basis(bare, np.concatenate((loads, known), axis=1))
     if not len(block.rows):
-        return ChangedPlate(basis, basis.energy, basis.mass)
+        return basis, basis.energy, basis.mass
     there = at_points(block.rows, basis)
     _, mass = model.bare.coefficients(plate)
     added = np.swapaxes(there, 1, 2) @ ((mass @ block.inertia)[..., None] * there)
-    return ChangedPlate(basis, basis.energy + model.shift * added, basis.mass + added)
+    return basis, basis.energy + model.shift * added, basis.mass + added
 
 
 def _whitened(energy: Array, mass: Array, k: int) -> tuple[Array, Array]:
@@ -192,11 +181,6 @@ _BATCH = 64
 _AXES: tuple[Derivative, Derivative] = ("x", "y")
 
 
-def batches_of(rows: Array) -> list[Array]:
-    """Rows (m,) in batches that are solved together."""
-    return [rows[i : i + _BATCH] for i in range(0, len(rows), _BATCH)]
-
-
 @dataclass(frozen=True, slots=True)
 class PointMass:
     """A mass glued to the surface; parameters are the mass, its place and its radius of gyration.
@@ -208,7 +192,8 @@ class PointMass:
 
     def batches(self, added: Array) -> list[Array]:
         """Rows of the parameters of the change (m, 4) that are solved together."""
-        return batches_of(np.arange(len(added)))
+        rows = np.arange(len(added))
+        return [rows[i : i + _BATCH] for i in range(0, len(rows), _BATCH)]
 
     def predict(self, model: LocalModel, x: Array, jacobian: bool) -> Prediction:
         """Frequencies at parameter vectors (m, n) and, if asked, their derivatives."""
@@ -217,13 +202,10 @@ class PointMass:
         weights = point_inertia(model, plate, mass, gyration)
         points = PointValues(added[:, 1]), PointValues(added[:, 2])
         rows = rows_in_basis(model, points, "", m)
-        changed = changed_plate(model, bare_modes(model, plate), plate, rows[:, self.loads])
-        basis = changed.basis
+        basis, energy, inertia = changed_plate(model, bare_modes(model, plate), plate, rows[:, self.loads])
         at_place = at_points(rows, basis)
         mass_there = np.swapaxes(at_place, 1, 2) @ (weights[:, :, None] * at_place)
-        lam, z = eigenvalues(
-            model, changed.energy + model.shift * mass_there, changed.mass + mass_there, jacobian
-        )
+        lam, z = eigenvalues(model, energy + model.shift * mass_there, inertia + mass_there, jacobian)
         if z is None:
             return prediction(lam, None)
         phi = in_common_basis(z, basis)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.local.fields import (
     ATOMS,
@@ -28,13 +26,7 @@ from cpam_bayes.forward_model.local.model import (
 )
 from cpam_bayes.forward_model.model import PlateModel, Prediction
 from cpam_bayes.mechanics.loaded import columns_of, in_common_basis
-from cpam_bayes.mechanics.problem import (
-    LAMINATE_ENTRIES,
-    LAMINATE_FORMS,
-    rigid_body_count,
-)
-
-Array = NDArray[Any]
+from cpam_bayes.mechanics.problem import LAMINATE_ENTRIES, LAMINATE_FORMS, Array, rigid_body_count
 
 SOFTENED = np.flatnonzero(LAMINATE_ENTRIES.min(axis=0) >= BENT[0])
 _LEFT = np.array([ATOMS.index(LAMINATE_FORMS[q].left) for q in SOFTENED])
@@ -83,15 +75,15 @@ class Patch:
         n_loads = chosen.shape[1]
         strained = np.take_along_axis(of_modes, chosen[:, None], axis=2).reshape(len(x), len(BENT), -1)
         loads = at.loads(np.swapaxes(roots, 1, 2) @ strained, n_loads)
-        changed = changed_plate(model, bare, plate, loads)
-        basis, n_answers = changed.basis, n_loads + len(model.block.rows)
+        basis, energy, mass = changed_plate(model, bare, plate, loads)
+        n_answers = n_loads + len(model.block.rows)
         of_answers = roots @ at.rows(basis.responses, [slice(0, n_answers)] * len(basis.responses))
         rows = np.concatenate((of_modes, of_answers.reshape(len(x), -1, n_answers)), axis=2)
         lost = np.swapaxes(rows, 1, 2) @ rows
         deep = np.flatnonzero(added[:, 0] > _DEEP)
         if len(deep):
             lost[deep] = _bounded(basis.energy[deep], lost[deep])
-        lam, z = eigenvalues(model, changed.energy - depth * lost, changed.mass, jacobian)
+        lam, z = eigenvalues(model, energy - depth * lost, mass, jacobian)
         if z is None:
             return prediction(lam, None)
         phi = in_common_basis(z, basis)

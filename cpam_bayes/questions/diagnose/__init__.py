@@ -14,14 +14,13 @@ from cpam_bayes.answer import Constant, Notice, each_once
 from cpam_bayes.command import EXECUTOR, PLATES, TIME_LIMIT, WORKERS, Command, option, positive
 from cpam_bayes.diagnosis.cases import build_models, hypotheses_of, plate_case
 from cpam_bayes.diagnosis.comparison import PlateCase
-from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
+from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases, diagnosis_notices
 from cpam_bayes.diagnosis.evidence.marginal import distinct_hypotheses, prior_of
 from cpam_bayes.diagnosis.evidence.sampled import ready
 from cpam_bayes.diagnosis.extension import FrequencyRow, paired_fit, plain_mode_shapes
 from cpam_bayes.diagnosis.fit import Fit, inferred_noise
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, P_NONE, P_SETS, SET, with_prior_of_none
 from cpam_bayes.diagnosis.next_test import Candidate, next_measurements
-from cpam_bayes.diagnosis.notices import diagnosis_notices
 from cpam_bayes.effects import CATALOGUE, Effect
 from cpam_bayes.errors import checked
 from cpam_bayes.formatting import decimals_of, fixed, signed, significant, with_spread

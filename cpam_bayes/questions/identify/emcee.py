@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cpam_bayes.answer import Constant, FrequencyRow, Notice, Reliance, Verdict
 from cpam_bayes.errors import checked
 from cpam_bayes.forward_model.known_errors import FREQUENCY_SCALE, ScaleError, absorbed
-from cpam_bayes.forward_model.labels import LabelledModel, ShapePairing, by_shape, list_order
+from cpam_bayes.forward_model.labels import ShapePairing, by_shape, list_order
 from cpam_bayes.forward_model.model import SIZES, air_shifts, discretisation_error, with_references
 from cpam_bayes.forward_model.preconditions import (
     common_factor_slips,
@@ -333,7 +333,7 @@ def _sampled(
 def _summarise(
     specimen: Specimen,
     posterior: Posterior,
-    model: ReducedModel | LabelledModel,
+    model: ReducedModel,
     result: EnsembleResult,
     evidence: Evidence,
     solves: int,
@@ -360,8 +360,7 @@ def _summarise(
         p.name: _marginal(p.prior, x) for p, x in zip(posterior.parameters.parameters, draws.T, strict=True)
     }
     relied_on = _reliances(posterior, draws, names)
-    reduced = model.reduced if isinstance(model, LabelledModel) else model
-    by_basis = basis_error(reduced, few[:_CHECKED_DRAWS, :n]).max(axis=0)
+    by_basis = basis_error(model, few[:_CHECKED_DRAWS, :n]).max(axis=0)
     constants = {
         name: replace(
             _constant(specimen, posterior, name, marginals[name], explained=explained),
@@ -476,7 +475,7 @@ def _slips(
 def _scale_errors(
     specimen: Specimen,
     posterior: Posterior,
-    model: ReducedModel | LabelledModel,
+    model: ReducedModel,
     best: Array,
     pairing: Pairing,
     order: Array,
@@ -550,7 +549,7 @@ def _reference(specimen: Specimen, name: str) -> float:
     return float(specimen.material.complete().get(name, np.nan))
 
 
-def _laminate(model: ReducedModel | LabelledModel, x: Array) -> dict[str, tuple[float, float]]:
+def _laminate(model: ReducedModel, x: Array) -> dict[str, tuple[float, float]]:
     """Mean and sd of the flexural stiffness and constants over draws (m, n)."""
     state = model.full.operator.problem.state(model.parameters.mapping(x))
     stiffness = np.broadcast_to(state.stiffness(), (len(x), 8, 8))

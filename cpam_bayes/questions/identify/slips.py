@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from cpam_bayes.answer import Notice
-from cpam_bayes.diagnosis.cases import plate_case, with_list
+from cpam_bayes.diagnosis.cases import plate_case
 from cpam_bayes.diagnosis.comparison import SCATTER
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
 from cpam_bayes.diagnosis.evidence.scan import (
@@ -252,7 +252,7 @@ def _of_list(specimen: Specimen, share: float) -> Iterator[_Weighed]:
             continue
         # a density of what was listed, not of what was meant
         _, factor, slip = decimals[int(h.variant)]
-        of_slip = (with_list(case, required(slip.corrected)[0]),)
+        of_slip = (replace(case, measurement=required(slip.corrected)[0]),)
         marginal = marginal_of(of_slip, every[0], (0,), known=t.marginal.z, log2_draws=0)
         marginal = replace(marginal, log_evidence=marginal.log_evidence + math.log(factor))
         yield _Weighed(f"{slip.kind} {slip.number} {factor:g}", slip, h.prior, marginal)

@@ -19,7 +19,7 @@ from tests.diagnosed import aluminium_case, listed
 CAUSES = {"none", "other", "thickness", "viscoelastic", "outlier"}
 
 
-def parts(item: tuple[Any, ...]) -> tuple[Any, ...]:
+def parts(*item: Any) -> tuple[Any, ...]:
     """What was sent, as the worker has it, in another order."""
     return item[::-1]
 

@@ -7,17 +7,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from cpam_bayes.forward_model.calculix import (
+from cpam_bayes.forward_model.calculix.deck import Element, grid_lines, plate_deck
+from cpam_bayes.forward_model.calculix.run import (
     PROGRAM_VARIABLE,
     CalculixError,
-    Element,
-    plate_deck,
+    deformation_modes,
+    read_displacements,
     read_eigenvalues,
     run_deck,
     solve_modes,
 )
-from cpam_bayes.forward_model.calculix.deck import grid_lines
-from cpam_bayes.forward_model.calculix.run import deformation_modes, read_displacements
 from cpam_bayes.plate import Material, Sensor, Specimen, builtin
 from cpam_bayes.plate.layup import parse_layup
 from tests.plates import with_plate

@@ -6,12 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from cpam_bayes.forward_model.calculix import (
-    CalculixError,
-    Element,
-    run_deck,
-    solve_modes,
-)
+from cpam_bayes.forward_model.calculix.deck import Element
+from cpam_bayes.forward_model.calculix.run import CalculixError, run_deck, solve_modes
 from cpam_bayes.forward_model.model import NO_PARAMETERS, converged_model
 from cpam_bayes.mechanics.modes import Mode
 from cpam_bayes.plate import Sensor, Specimen, builtin
