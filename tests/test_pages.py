@@ -127,7 +127,7 @@ def test_a_figure_is_linked_from_where_its_page_lies(tmp_path: Path) -> None:
     caption = tmp_path / "figures" / "x.md"
     caption.parent.mkdir()
     caption.write_text("**What it\nis.**\n\nWhat to see.\n\nData: ...\n", encoding="utf-8")
-    shown = "![What it is.]({})\n\n**What it is.** What to see."
+    shown = "![Figure]({})\n\n**What it is.** What to see."
     assert figure_section(caption, tmp_path / "README.md") == shown.format("figures/x.png")
     assert figure_section(caption, tmp_path / "docs" / "one.md") == shown.format("../figures/x.png")
     titled = "![What it is.](figures/x.png)\n\n**What it is.**"

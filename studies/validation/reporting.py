@@ -253,12 +253,13 @@ def _names(caption: Path) -> set[str]:
 def figure_section(caption: Path, page: Path, *, titled: bool = False) -> str:
     """A figure with its caption, as a page shows it; from the caption file beside the figure.
 
+    The text in place of a picture does not say again what the caption under it says.
+
     titled : with the title of the caption alone
     """
     title, text, *_ = caption.read_text(encoding="utf-8").split("\n\n")
     link = Path(relpath(caption.with_suffix(".png"), page.parent)).as_posix()
-    alternative = " ".join(title.strip("*").split())
-    return f"![{alternative}]({link})\n\n{paragraph(title if titled else f'{title} {text}')}"
+    return f"![Figure]({link})\n\n{paragraph(title if titled else f'{title} {text}')}"
 
 
 def sections_of_figures(project: Path, page: Path) -> dict[str, str]:
