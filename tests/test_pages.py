@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from cpam_bayes.plate.records import USUAL_SCALE_SD, USUAL_SD
 from tests.test_studies import PROJECT, SAVED, STUDIES, script
 from validation import reporting
 from validation.reporting import (
@@ -48,6 +49,17 @@ def test_the_documentation_has_at_most_30_000_words() -> None:
     words = {name: len(path.read_text("utf-8").split()) for name, path in PAGES.items()}
     longest_first = sorted(words.items(), key=lambda page: -page[1])
     assert sum(words.values()) <= 30_000, longest_first
+
+
+def test_the_page_of_priors_has_the_tolerances_that_hold_where_a_file_states_none() -> None:
+    page = PAGES["docs/priors.md"].read_text("utf-8")
+    said = {}
+    for row in page.partition("| of | default | stands for |\n")[2].partition("\n\n")[0].splitlines()[1:]:
+        names, text = row.split("|")[1:3]
+        for name in names.partition("(")[0].split(","):
+            said[name.strip()] = float(text.split()[0]) / 100
+    used = {**USUAL_SD, "frequency scale": USUAL_SCALE_SD}
+    assert said == pytest.approx(used)
 
 
 def test_every_source_of_a_section_is_a_study_a_figure_or_a_benchmark() -> None:
