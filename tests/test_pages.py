@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from cpam_bayes.plate.records import USUAL_SCALE_SD, USUAL_SD
 from tests.test_studies import PROJECT, SAVED, STUDIES, script
 from validation import fingerprints
 from validation.fingerprints import UNKNOWN, fingerprint_of_study
@@ -63,6 +64,17 @@ def test_the_readme_says_in_six_lines_how_wrong_an_answer_can_be() -> None:
     section = (PROJECT / "README.md").read_text("utf-8").split("## How wrong it can be")[1].split("\n## ")[0]
     text = with_sections(section, AGE, {"studies": ""})
     assert len([line for line in text.splitlines() if line.strip() and not line.startswith("<!--")]) <= 6
+
+
+def test_the_page_of_priors_has_the_tolerances_that_hold_where_a_file_states_none() -> None:
+    page = PAGES["docs/priors.md"].read_text("utf-8")
+    said = {}
+    for row in page.partition("| of | default | stands for |\n")[2].partition("\n\n")[0].splitlines()[1:]:
+        names, text = row.split("|")[1:3]
+        for name in names.partition("(")[0].split(","):
+            said[name.strip()] = float(text.split()[0]) / 100
+    used = {**USUAL_SD, "frequency scale": USUAL_SCALE_SD}
+    assert said == pytest.approx(used)
 
 
 def test_every_source_of_a_section_is_a_study_a_figure_or_a_benchmark() -> None:

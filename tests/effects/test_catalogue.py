@@ -474,3 +474,20 @@ def test_the_example_of_an_effect_raises_frequencies_alike_on_both_discretisatio
 def test_the_page_holds_the_tables_of_the_catalogue() -> None:
     """``python -m cpam_bayes.effects.table docs/effects.md`` writes them."""
     assert f"{BEGIN}\n{catalogue_table()}\n{END}" in PAGE
+
+
+def test_every_cause_has_a_reason_a_gross_part_and_a_form_error_in_the_table() -> None:
+    _, _, *lines = catalogue_table().splitlines()
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
+    by_name = {row[0]: row for row in rows}
+    assert list(by_name) == [effect.name for effect in CATALOGUE]
+    assert [name for name, row in by_name.items() if row[6] in ("", "-")] == []
+    scales = {name: by_name[name][3] for name in ("soft_clamp", "clamp_slip", "warp", "thickness")}
+    assert scales == {
+        "soft_clamp": "0.02 (0.2), 0.002 (0.02)",
+        "clamp_slip": "5 %",
+        "warp": "0.5 mm (even)",
+        "thickness": "20 %",
+    }
+    assert by_name["clamp_slip"][6].endswith("; 0.62")
+    assert not by_name["taper_x"][6][-1].isdigit()
