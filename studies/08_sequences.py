@@ -36,7 +36,6 @@ from cpam_bayes.stacking.queries import angle_information, given_layup
 from cpam_bayes.stacking.records import DEFAULT_SETTINGS, StackingPosterior, StackingSettings
 from validation.reporting import (
     counted,
-    listed,
     paragraph,
     save_results,
     saved_results,
@@ -382,11 +381,6 @@ def _remarks(cases: Sequence[Results]) -> Iterable[str]:
             f"([findings](findings.md)), the printed stacking sequence is {below:.1f} nats below the best: "
             "with the list taken as complete, others suit it better than the true one."
         )
-    heavy = sorted((c for c in cases if c["peak_gib"] >= 3.0), key=lambda c: -c["peak_gib"])
-    most = listed([f"{c['case']} ({c['peak_gib']:.1f})" for c in heavy])
-    yield "**Memory.** " + (
-        f"Above 3 GiB at their peak: {most}; the others less." if heavy else "Below 3 GiB."
-    )
 
 
 def _determined(cases: Sequence[Results]) -> Iterable[str]:

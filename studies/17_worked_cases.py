@@ -168,12 +168,10 @@ def sections(results: Results) -> dict[str, str]:
 
 
 def _line(row: Results) -> str:
-    after = row["rms_percent_after"]
-    rms = f"{row['rms_percent_before']:.2f}" + ("" if after is None else f", {after:.2f}")
     size = (
         f"{row['truth']['cause']}: {row['truth']['size']}" if row["truth"]["cause"] != "none" else "nothing"
     )
-    cells = (row["case"], size, row["sentence"], rms, row["verdict"])
+    cells = (row["case"], size, row["sentence"], row["verdict"])
     return f"| {' | '.join(cells)} |"
 
 
@@ -188,8 +186,8 @@ def _missed(rows: Iterable[Results]) -> str:
     return f" (not {'; '.join(said)})" if said else ""
 
 
-_TABLE = """| case | what is wrong | answer | rms before, after, % | verdict |
-|---|---|---|---|---|"""
+_TABLE = """| case | what is wrong | answer | verdict |
+|---|---|---|---|"""
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -390,20 +390,12 @@ def sections(results: Results) -> dict[str, str]:
     kinds, failed = results["kinds"], sum(row["failed"] for row in results["kinds"])
     inputs = sum(row["inputs"] for row in kinds)
     slowest = max(row["slowest_seconds"] for row in kinds)
-    head = ("tried", "inputs", "accepted", "refused with a message")
-    rows = [
-        (
-            row["kind"],
-            counted(row["inputs"]),
-            counted(row["accepted"]),
-            counted(row["refused"]),
-        )
-        for row in kinds
-    ]
+    accepted = sum(row["accepted"] for row in kinds)
+    tried = listed([row["kind"] for row in kinds])
     said = paragraph(
-        f"Of {counted(inputs)} inputs {failed if failed else 'none'} ended in anything but an answer or a "
-        f"message. The slowest took {slowest:.2g} s of a processor; the process held "
-        f"{results['memory_gib']:.2g} GiB at most."
+        f"Of {counted(inputs)} inputs ({tried}) {failed if failed else 'none'} ended in anything but an answer, "
+        f"{counted(accepted)} of them, or a message. The slowest took {slowest:.2g} s of a processor; the "
+        f"process held {results['memory_gib']:.2g} GiB at most."
     )
     commands = dict.fromkeys(row["command"] for row in results["signals"])
     signals = []
@@ -423,7 +415,7 @@ def sections(results: Results) -> dict[str, str]:
     )
     sent = f"Each signal to each of {len(commands)} commands:"
     return {
-        "inputs": f"{said}\n\n{markdown_table(head, rows)}",
+        "inputs": said,
         "signals": f"{sent}\n\n{markdown_table(of_signals, signals)}",
     }
 

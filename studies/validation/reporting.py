@@ -228,9 +228,8 @@ def with_age(page: str) -> str:
     """A page that says, where it is asked to, which of its results an earlier state of the code computed."""
     old = outdated(page)
     every = len(old) > 1 and len(old) == len(studies_of(page))
-    named = listed([f"`studies/{name}.py`" for name in old])
-    which = "all results of studies on this page" if every else f"the results of {named}"
-    said = paragraph(f"Computed by an earlier state of the code: {which}.") if old else ""
+    which = "all results here" if every else f"results of {listed([f'`{name}`' for name in old])}"
+    said = paragraph(f"Older than the code: {which}.") if old else ""
     return with_sections(page, AGE, {"studies": said})
 
 

@@ -126,17 +126,8 @@ def _left_out(error: Record) -> str | None:
     return f"{signed(error['held_out'], 0)} +- {error['held_out_se']:.0f}"
 
 
-def _answer(error: Record) -> str:
-    """The claim in words where it is not told above, in few where nothing is."""
-    if _is_unexplained(error):
-        return "as above"
-    said: str = error["sentence"]
-    return "no evidence of an error" if error["claim"] == "none" else said
-
-
 _DIAGNOSED: Final = (
     Column("plate", "specimen", itemgetter("specimen")),
-    Column("answer", None, _answer),
     Column("left %", "plain_rms_percent", itemgetter("plain_rms_percent"), _TWO_DIGITS, True),
     Column("left % with it", "extended_rms_percent", itemgetter("extended_rms_percent"), _TWO_DIGITS, True),
     Column("log Bayes factor", "log_bayes_factor", itemgetter("log_bayes_factor"), "{:.0f}".format, True),

@@ -498,9 +498,9 @@ def _diagnosed_lines(simulation: Sequence[Record]) -> Iterator[str]:
     yield from (
         "## Diagnosis of every measured list",
         "",
-        "Left is the rms misfit with constants near the data sheet, and with the cause. The log Bayes factor "
-        "(nats) is of the cause against none; the log score (nats) its gain on frequencies left out "
-        "of the fit.",
+        "The answers stand in [findings](findings.md). Left is the rms misfit with constants near the data "
+        "sheet, and with the cause. The log Bayes factor (nats) is of the cause against none; the log score "
+        "(nats) its gain on frequencies left out of the fit.",
         "",
     )
     yield from _markdown(diagnosed(simulation))
@@ -534,7 +534,7 @@ def _hadamard_lines(conditions: Sequence[Record]) -> Iterator[str]:
         "*Uniqueness*: the sensitivities d ln f / d ln x have full rank, and no other optimum or stacking "
         "sequence (95 % set) fits within the noise. "
         f"A solution exists for {len(exist)} of {len(conditions)} choices of plate and unknowns"
-        f"{_named(exist)}, and is the only one for {len(unique)}{_named(unique)}. *Stability*, what 1 % of "
+        f"{_named(exist)}, and is the only one for {len(unique)}. *Stability*, what 1 % of "
         "noise does to each constant, is in the table of `cpam-bayes paper --verbose`.",
         "",
     )
