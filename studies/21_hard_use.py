@@ -394,7 +394,7 @@ def sections(results: Results) -> dict[str, str]:
     tried = listed([row["kind"] for row in kinds])
     said = paragraph(
         f"Of {counted(inputs)} inputs ({tried}) {failed if failed else 'none'} ended in anything but an "
-        f"answer, {counted(accepted)} of them, or a message. The slowest took {slowest:.2g} s of a processor; "
+        f"answer, {counted(accepted)} of them, or a message. The slowest took {slowest:.2g} s of a core; "
         f"the process held {results['memory_gib']:.2g} GiB at most."
     )
     commands = dict.fromkeys(row["command"] for row in results["signals"])
