@@ -14,7 +14,7 @@ there are become results, and the section of docs/hidden_effects.md.
 for the diagnosis's own rate of wrong claims there; --engine NAME=TREE asks another version of the package.
 
 --score prints the scores of a method of your own beside ours on the same lists, and writes nothing. FILE
-holds an answer a line, see validation/claims/own_method.py. The method takes the "file" of a list alone: its
+holds an answer a line, see validation/own_method.py. The method takes the "file" of a list alone: its
 "id" and its "truth" tell what is hidden.
 """
 
@@ -35,7 +35,8 @@ from pathlib import Path
 from typing import Any
 
 import cpam_bayes as cb
-from validation.claims import answering, own_method, references, scoring, seal, sets, telling
+from validation import own_method
+from validation.claims import answering, references, scoring, seal, sets, telling
 from validation.fingerprints import KEY, fingerprint_of_study
 from validation.reporting import save_results, write_sections
 

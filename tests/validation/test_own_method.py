@@ -10,7 +10,8 @@ from cpam_bayes.questions.diagnose import diagnosis_result
 from cpam_bayes.render.report import json_text
 from tests.diagnosed import misread
 from tests.test_studies import PROJECT, script
-from validation.claims import answering, own_method, scoring
+from validation import own_method
+from validation.claims import answering, scoring
 
 DATA = PROJECT / "studies" / "data" / "claims"
 STUDY = script("studies", "15_claims")

@@ -224,7 +224,7 @@ def _by_ply(key: str, form: str, row: Record) -> str:
 
 _NOISY_ANGLES: Final = (
     _of("specimen", "plate"),
-    _shown("noise", lambda row: row["source"].removesuffix(" disorder")),
+    _of("source", "noise"),
     _shown("spread by ply, degrees", partial(_by_ply, "spread_", ".0f")),
     _of("verdict_kind", "verdict"),
     _shown("bits by ply", partial(_by_ply, "bits_", ".1f")),
