@@ -100,7 +100,7 @@ def test_figures_stand_in_pages_with_their_captions_alone() -> None:
 
 @pytest.mark.parametrize(
     ("study", "key", "name"),
-    [("17_worked_cases", "cases", "cases"), ("21_hard_use", "signals", "signals")],
+    [("17_worked_cases", "cases", "cases"), ("12_findings", "groups", "plates")],
 )
 def test_a_section_follows_whatever_the_results_hold(study: str, key: str, name: str) -> None:
     results = json.loads((SAVED / f"{study}.json").read_text(encoding="utf-8"))
@@ -142,7 +142,7 @@ def test_a_figure_is_linked_from_where_its_page_lies(tmp_path: Path) -> None:
     shown = "![Figure]({})\n\n**What it is.** What to see."
     assert figure_section(caption, tmp_path / "README.md") == shown.format("figures/x.png")
     assert figure_section(caption, tmp_path / "docs" / "one.md") == shown.format("../figures/x.png")
-    titled = "![What it is.](figures/x.png)\n\n**What it is.**"
+    titled = "![Figure](figures/x.png)\n\n**What it is.**"
     assert figure_section(caption, tmp_path / "README.md", titled=True) == titled
 
 
@@ -198,7 +198,7 @@ def test_results_of_other_sources_are_named_until_the_study_is_run_again(ledger:
     assert with_age(SECTION) == SECTION
     ledger.write_text(json.dumps({STUDY: OTHER}))
     assert outdated(SECTION) == [STUDY]
-    said = f"code: the results of `studies/{STUDY}.py`."
+    said = f"Older than the code: results of `{STUDY}`."
     assert said in with_age(SECTION)
     ledger.write_text(json.dumps({STUDY: fingerprint_of_study(STUDY)}))
     assert with_age(with_age(SECTION)) == SECTION
@@ -209,7 +209,7 @@ def test_a_figure_of_other_sources_is_named_too(ledger: Path) -> None:
     ledger.write_text(json.dumps({STUDY: fingerprint_of_study(STUDY)}))
     assert outdated(both) == ["20_swarms"]
     ledger.write_text("{}")
-    assert "code: all results of studies on this page." in with_age(both)
+    assert "code: all results here." in with_age(both)
 
 
 def saved_before(ledger: Path, recorded: str | None) -> Path:
