@@ -1,6 +1,7 @@
 """Frequencies predicted from a stored posterior: closed forms, the truth, sizes of the plate, bad files."""
 
 import json
+import lzma
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ import cpam_bayes as cb
 from cpam_bayes.questions.identify import SampledResult
 from tests.plate_file import described, refused
 from tests.posteriors import write_posterior
+
+DATA = Path(__file__).parents[1] / "data"
 
 E_REFERENCE = 69.0
 ALUMINIUM = {"isotropic": True, "E1_GPa": E_REFERENCE, "nu12": 0.33}
@@ -132,6 +135,17 @@ def test_a_saved_posterior_predicts_its_own_list_as_the_result_does(
     np.testing.assert_allclose(mean, sampled.predicted[:6], rtol=5e-4)
     sd = [mode.sd for mode in from_file.modes]
     np.testing.assert_allclose(sd, sampled.predicted_sd[:6], rtol=0.15)  # other draws of one posterior
+
+
+def test_a_posterior_of_0_1_0_still_opens(tmp_path: Path) -> None:
+    """Written by `cb.sample("A1", seed=0)` of version 0.1.0, two ensembles of 8 walkers, 6 steps each."""
+    path = tmp_path / "posterior.nc"
+    path.write_bytes(lzma.decompress((DATA / "posterior_0.1.0.nc.xz").read_bytes()))
+    found = cb.predict(path, "A2")
+    # its E1 is 67.96 GPa on average, that of the file of A2 69 GPa
+    reference = cb.forward("A2", len(found.modes)).frequencies
+    means = [mode.mean for mode in found.modes]
+    np.testing.assert_allclose(means, np.sqrt(67.96 / 69.0) * reference, rtol=0.01)
 
 
 def test_a_constant_that_was_held_at_another_value_is_told(tmp_path: Path) -> None:
