@@ -34,6 +34,17 @@ def names_and_bounds(requirements: Iterable[str]) -> dict[str, str]:
     return {part[1].casefold(): part[2].strip() for part in parts if part}
 
 
+def test_licence_and_authors_are_those_of_the_citation_and_of_the_licence_file() -> None:
+    project, citation = PYPROJECT["project"], yaml.safe_load(text_of("CITATION.cff"))
+    assert citation["license"] == project["license"] == "BSD-3-Clause"
+    assert [author["name"] for author in citation["authors"]] == [a["name"] for a in project["authors"]]
+    first, *_ = licence = text_of(project["license-files"][0]).splitlines()
+    assert first == "BSD 3-Clause License"
+    # its third clause is what the one of two clauses lacks
+    assert any("names of its" in line or "Neither the name" in line for line in licence)
+    assert any(project["authors"][0]["name"].removeprefix("The ") in line for line in licence)
+
+
 def test_the_version_is_the_same_everywhere() -> None:
     version = PYPROJECT["project"]["version"]
     assert cpam_bayes.__version__ == version
