@@ -473,7 +473,6 @@ def sections(results: Results) -> dict[str, str]:
 def _remarks(cases: Sequence[Results]) -> Iterable[str]:
     runs = sum(c["success"]["rounding"]["of"] for c in cases)
     exact, near = (sum(c["success"][m]["count"] for c in cases) for m in ("rounding", "one_percent"))
-    solves = [c["cost"]["swarm_solves"] for c in cases]
     c1 = next((c for c in cases if (c["case"], c["data"]) == ("C1", "printed")), None)
     printed = ""
     if c1:
@@ -483,10 +482,6 @@ def _remarks(cases: Sequence[Results]) -> Iterable[str]:
         f"**It ends near the best fit, hardly ever on it.** Within the rounding of the list are {exact} of "
         f"{runs} runs, within 1 % of the frequencies {near}. What a run prints is one of the many stacking "
         f"sequences that the list allows.{printed}"
-    )
-    yield (
-        f"**Cost.** A run takes {min(solves):.0f} to {max(solves):.0f} solves. With two angles plain "
-        "enumeration costs as much as a few runs and is certain."
     )
 
 

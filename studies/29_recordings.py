@@ -245,8 +245,9 @@ def sections(results: Results) -> dict[str, str]:
     said = (
         f"{c['plates']} plates of independent elements were hit one to six times, with hum, second strokes, "
         "clipped files, unseen modes and up to three resonances that are none of the plate. In "
-        f"{c['right']} plates every peak that was taken for a mode was of it, in {c[SUMMED]} wrong ones had "
-        f"probabilities below {STATED:g}, in {c['wrong']} not. {c['inside']} of {c['constants']} "
+        f"{c['right']} every peak that was taken for a mode was of it; in {c[SUMMED] + c['wrong']} one was "
+        f"not, with a probability of {STATED:g} or more in {c['wrong']}. "
+        f"{c['inside']} of {c['constants']} "
         f"constants{error} lay in their 95 % intervals, {c['determined_inside']} of the {c['determined']} "
         f"that the peaks determine to {DETERMINED:g} %; the data sheet's 25 to 40 % make others wider than "
         f"the 5 % by which the plates differ. The recordings took {c['reading_median_s']:.1f} s, at most "

@@ -440,7 +440,10 @@ def test_ways_to_be_misled_are_counted_the_commonest_first() -> None:
         telling.in_short(6, found, sealed).split()
     )
     assert "([all 6 answered]" in said
-    assert "1 of 6 lists are claimed wrongly (0.4 to 64.1 %; at most 1 predicted" in said
+    assert "1 of 6 lists are claimed wrongly (at most 1 % predicted)" in said
+    # of the one claim, which is wrong
+    stated = scoring.figure_of(found, scoring.TOO_SURE)
+    assert f"too sure by {stated['value']:.2f} ({stated['interval'][0]:.2f} to" in said
 
 
 def test_an_answer_is_of_todays_code_only_if_it_was_given_by_it(

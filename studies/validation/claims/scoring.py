@@ -251,6 +251,7 @@ _BANDS = (1.0, _STRONG)
 # Groups of lists by the first part of their names.
 HEADLINE, STRESS, BRICKS = "drawn from priors", "by signal to noise", "bricks"
 # Figures that are told by themselves.
+TOO_SURE = "stated probability of a claim, less how often it is right"
 COVERED, COVERED_OF_BRICKS = (
     "constants in their 95 % intervals",
     "constants of bricks in their 95 % intervals",
@@ -363,7 +364,7 @@ def figures(records: Sequence[Scored]) -> list[Record]:
         _covered(COVERED, drawn),
         _counted(WRONG_CLAIMS, records, _is(WRONG)),
         _row(
-            "stated probability of a claim, less how often it is right",
+            TOO_SURE,
             stated["difference"],
             stated["standard_error"],
             stated["lists"],

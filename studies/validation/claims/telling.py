@@ -134,13 +134,16 @@ def in_short(total: int, scores: Record, seal: Record) -> str:
     (least, most), (_, wrong) = (
         [100.0 * end for end in seal["predictions"][what]] for what in (scoring.COVERED, scoring.WRONG_CLAIMS)
     )
+    too_sure = scoring.figure_of(scores, scoring.TOO_SURE)
+    low, high = too_sure["interval"]
     said = (
         f"**Sealed lists** ([{answered} answered](docs/hidden_effects.md)). Elements: "
-        f"{_share(scores, scoring.COVERED)} 95 % intervals hold the constant ({least:.0f} to {most:.0f} "
-        f"predicted), {_counted(scores, scoring.WRONG_OF_ELEMENTS)} lists are claimed wrongly "
-        f"({_between(scores, scoring.WRONG_OF_ELEMENTS)}; at most {wrong:.0f} predicted of all). Bricks: "
-        f"{_share(scores, scoring.COVERED_OF_BRICKS)}; {_counted(scores, scoring.WRONG_OF_BRICKS)} "
-        f"({_between(scores, scoring.WRONG_OF_BRICKS)})."
+        f"{_share(scores, scoring.COVERED)} 95 % intervals of lists from priors hold the constant "
+        f"({least:.0f} to {most:.0f} predicted), {_counted(scores, scoring.WRONG_OF_ELEMENTS)} lists are "
+        f"claimed wrongly (at most {wrong:.0f} % predicted). Bricks: "
+        f"{_share(scores, scoring.COVERED_OF_BRICKS)}; {_counted(scores, scoring.WRONG_OF_BRICKS)}. "
+        f"Claims are too sure by {too_sure['value']:.2f} "
+        f"({low:.2f} to {high:.2f})."
     )
     ways = "; ".join(_way(row, scores["wrong"]) for row in scores["misled"][:3])
     return "\n".join(paragraph(point, "- ") for point in (said, f"**Misled by** {ways}."))
@@ -154,11 +157,6 @@ def _share(scores: Record, what: str) -> str:
 def _counted(scores: Record, what: str) -> str:
     row = scoring.figure_of(scores, what)
     return f"{_count(row)} of {row['number']}"
-
-
-def _between(scores: Record, what: str) -> str:
-    low, high = (100.0 * end for end in scoring.figure_of(scores, what)["interval"])
-    return f"{low:.1f} to {high:.1f} %"
 
 
 def _way(row: Record, wrong: Sequence[Record]) -> str:
