@@ -65,7 +65,7 @@ def answered_by(engines: Sequence[Record]) -> list[str]:
     if len(engines) > 1:
         said = (
             f"The code was changed after answers had been seen: {len(engines)} states of it answered, each "
-            "list once. Figures above are of all of them together, here of each alone."
+            "list once. Above all together, here each alone."
         )
         lines += [paragraph(said), ""]
     head = (
