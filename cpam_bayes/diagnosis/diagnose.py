@@ -23,6 +23,7 @@ from cpam_bayes.diagnosis.cases import differing_priors, hypotheses_of
 from cpam_bayes.diagnosis.comparison import SCATTER, PlateCase
 from cpam_bayes.diagnosis.evidence.marginal import Marginal, best_log_likelihood
 from cpam_bayes.diagnosis.evidence.sampled import shared_out
+from cpam_bayes.diagnosis.evidence.sets import SETS
 from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed, weigh
 from cpam_bayes.diagnosis.fit import (
     Fit,
@@ -426,8 +427,6 @@ _P_LOW = 0.02
 _STABLE = 0.8
 # Importance sampling whose standard error of a log evidence is above this is warned of, nats.
 _ROUGH = 0.3
-# Probability of sets that were not weighed from which it is said.
-_UNWEIGHED = 0.01
 
 
 def diagnosis_notices(d: Diagnosis) -> tuple[Notice, ...]:
@@ -457,7 +456,7 @@ def _notices(d: Diagnosis) -> Iterator[Notice]:
     rough = max((t.marginal.error for t in d.weighed.tested if np.isfinite(t.marginal.error)), default=0.0)
     if rough > _ROUGH:
         yield Notice("rough_evidences", facts={"error": float(rough)})
-    if d.weighed.unaccounted > _UNWEIGHED:
+    if d.weighed.unaccounted > SETS.unaccounted:
         yield Notice("unweighed_sets", facts={"probability": d.weighed.unaccounted})
 
 

@@ -32,6 +32,7 @@ from cpam_bayes.plate.records import (
     Sensor,
     Specimen,
     joined_name,
+    sds_apart,
     to_si,
 )
 from cpam_bayes.plate.schema import (
@@ -387,9 +388,8 @@ def _mean_thickness(
     """
     (gauged, own), (by_mass, other) = each
     weight = other**2 / (own**2 + other**2) if own > 0.0 else 1.0
-    apart = abs(gauged - by_mass) / math.hypot(own, other)
     kept = {name: value for name, value in sd.items() if name != "density"}
-    kept["thickness"] = own * math.sqrt(weight) * max(apart, 1.0)
+    kept["thickness"] = own * math.sqrt(weight) * max(sds_apart(*each), 1.0)
     return weight * gauged + (1.0 - weight) * by_mass, kept
 
 

@@ -124,6 +124,11 @@ USUAL_SD: Final[Mapping[str, float]] = MappingProxyType(
 """Relative standard deviations of what is measured of a plate, where its file gives none: docs/priors.md."""
 
 
+def sds_apart(first: tuple[float, float], second: tuple[float, float]) -> float:
+    """Distance of two values with standard deviations, over the standard deviation of their difference."""
+    return abs(first[0] - second[0]) / math.hypot(first[1], second[1])
+
+
 @dataclass(frozen=True, slots=True)
 class Plate:
     """A rectangular plate, x along its length and y along its width.
@@ -159,8 +164,7 @@ class Plate:
         """How far the two thicknesses are apart, in standard deviations of their difference; 0 for one."""
         if self.thicknesses is None:
             return 0.0
-        (gauged, sd), (by_mass, sd_by_mass) = self.thicknesses
-        return abs(gauged - by_mass) / math.hypot(sd, sd_by_mass)
+        return sds_apart(*self.thicknesses)
 
     @property
     def total_mass(self) -> float:

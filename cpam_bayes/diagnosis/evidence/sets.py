@@ -368,14 +368,14 @@ class _SetSearch:
     def _ranked(self, point: _Point) -> list[_Candidate]:
         """The sets that add a cause to the point, or two, the best variants of each, the best set first."""
         linear = _linear(point.marginal)
-        known = point if point.leader is not None else self.plain
+        known = point.marginal if point.leader is not None else self.scan.none
         # the plain model's evidence is that of its closed form about its own optimum, and not elsewhere
-        at_optimum = linear if known is point else _linear(known.marginal)
+        at_optimum = linear if known is point.marginal else _linear(known)
         alone = logsumexp([own.log_constant - 0.5 * own.residual @ own.residual for own in at_optimum])
         best: dict[_Key, _Candidate] = {}
         for a, b in self._couples(point):
             log_density, best_nodes = _together(linear, a, b)
-            log_evidence = known.marginal.log_evidence + log_density - float(alone)
+            log_evidence = known.log_evidence + log_density - float(alone)
             if log_evidence < max(s.cause.marginal.log_evidence for s in (a, b)) + SETS.shown:
                 continue
             both = together((a.cause.hypothesis, b.cause.hypothesis), self.scales)

@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.plate import angle_grid, builtin
 from cpam_bayes.questions.paper.rows import (
     AGREES,
@@ -26,8 +27,6 @@ from cpam_bayes.questions.paper.rows import (
     Row,
 )
 from cpam_bayes.stacking.symmetry import ANGLE_MOTIONS, plane_motions
-
-Array = NDArray[Any]
 
 PRINTED_GROUPS: Final = 10
 """Perturbed lists behind each printed mean."""
