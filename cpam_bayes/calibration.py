@@ -69,7 +69,7 @@ class Source(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class PlateSource:
-    """The reduced model of a plate, from the cache on disk where it is there.
+    """The reduced model of a plate.
 
     plate : name of a built-in specimen or path of a plate file.
     n_modes : frequencies in a list.
@@ -152,7 +152,7 @@ def calibrate(
     known : repetitions of the same experiment that are not computed again.
     on_result : called with every repetition that was computed, as it ends.
     """
-    nature_of(experiment.source)  # builds what workers then find in the cache on disk
+    nature_of(experiment.source)  # an error of the plate file is raised here
     done = {r.number: r for r in known}
 
     def take(repetition: Repetition) -> None:

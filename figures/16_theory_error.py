@@ -32,7 +32,8 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             "First-order shear deformation theory against three dimensions, and the rule for the difference.",
             f"Ritz model less bricks on {len(cases)} plates. Left: every mode over the thickness. Right: rms "
             "over the modes of a plate against the rule's standard deviation, filled less the rule's bias, "
-            f"open with it; grey: up to twice that, which holds for {within} of {len(cases)} plates.",
+            f"open with it; grey: up to twice that, which holds for {within} of {len(cases)} plates; the "
+            "rule was fitted to these.",
         )
     ]
 

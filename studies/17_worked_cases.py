@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -50,6 +51,19 @@ KEYS = {
 NAMED = {effect.name for effect in CATALOGUE}
 # Answers that say the same as the cause.
 SAME = {"soft_clamp": {"clamp_rotation", "clamp_translation"}}
+# Sizes of true causes by their parameters, in the unit of the answer, where the truth has one.
+TRUE_SIZES = {
+    **{
+        name: {"sensor_mass": 10.0 * percent * CASES[name].mass}
+        for name, percent in (("mass_1_corner", 1.0), ("mass_3_off_grid", 3.0), ("mass_5_unstated", 5.0))
+    },
+    "turned": {"misorientation_deg": 6.0},
+    "taper": {"taper_x": 7.0},
+    "warp": {"sag": math.hypot(1.6, 0.9) / math.sqrt(2.0)},
+    "missing_corner": {"missing_area": 100.0 * 24.0 * 17.0 / math.prod(CASES["missing_corner"].sides[:2])},
+}
+# A size is held where it is no farther off than this, in its standard deviations: 95 % of them.
+HELD = 1.96
 SHOWN_CAUSES = 6
 _QUICK = "clean_clamped"
 _QUICK_CATALOGUE = tuple(effect for effect in CATALOGUE if effect.change is effect.on_plate is None)
@@ -162,7 +176,7 @@ def sections(results: Results) -> dict[str, str]:
     covered = [c["covered"] for row in rows for c in row["constants"]]
     summary = (
         f"{len(rows)} plates: {counts}. {sum(covered)} of {len(covered)} true constants lie in their 95 % "
-        f"intervals{_missed(rows)}."
+        f"intervals{_missed(rows)}. {_sizes(rows)}"
     )
     return {"cases": "\n".join([summary, "", _TABLE, *map(_line, rows)])}
 
@@ -173,6 +187,19 @@ def _line(row: Results) -> str:
     )
     cells = (row["case"], size, row["sentence"], row["verdict"])
     return f"| {' | '.join(cells)} |"
+
+
+def _sizes(rows: Iterable[Results]) -> str:
+    """How many sizes of the true causes are within their intervals, with those that are not."""
+    said, sizes = list[str](), 0
+    for row in rows:
+        found = {h["cause"]: h["parameters"] for h in row["hypotheses"]}[row["truth"]["cause"]]
+        for name, truth in TRUE_SIZES.get(row["case"], {}).items():
+            mean, sd, sizes = found[name]["mean"], found[name]["sd"], sizes + 1
+            if abs(mean - truth) > HELD * sd:
+                said.append(f"{row['case']}, {truth:.3g}: {mean:.3g} +- {sd:.2g}")
+    missed = f" (not {'; '.join(said)})" if said else ""
+    return f"Of the sizes of the true causes {sizes - len(said)} of {sizes} do{missed}."
 
 
 def _missed(rows: Iterable[Results]) -> str:

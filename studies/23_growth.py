@@ -380,12 +380,11 @@ def _thousand(cluster: Sequence[Results]) -> str:
     text = (
         f"Batches of {numbers[0]} to {numbers[-1]} plates on {listed([str(n) for n in workers])} workers of "
         "a new Dask cluster, as if each had a core to itself (processor's seconds): t = a + b n / N for n "
-        f"plates on N workers, a = {a:.1f} s, b = {b:.1f} s, within {100 * worst:.0f} %. With more than "
-        f"{workers[-1]} workers nothing was measured, and time on the network is not in it. More than about "
-        f"{b / own:.0f} workers would wait for the process that hands out the plates. {counted(THOUSAND)} "
-        "plates by the model:"
+        f"plates on N workers, a = {a:.1f} s, b = {b:.1f} s, within {100 * worst:.0f} %. More than "
+        f"{workers[-1]} workers and the network were not measured; more than about {b / own:.0f} would wait "
+        f"for the process that hands out plates. {counted(THOUSAND)} plates by the model:"
     )
-    rows = [(str(n), f"{(a + b * THOUSAND / n) / 60.0:.0f}") for n in WORKERS]
+    rows = [(str(n), f"{(a + b * THOUSAND / n) / 60.0:.0f}") for n in WORKERS if n < b / own]
     return f"{paragraph(text)}\n\n{markdown_table(('workers', 'minutes'), rows)}"
 
 

@@ -171,10 +171,9 @@ def sections(results: Results) -> dict[str, str]:
     whole = sum(all(RIGHT[k] == v for k, v in zip(c["kinds"], c["verdicts"], strict=True)) for c in cases)
     said = (
         f"{len(cases)} batches of twelve plates were drawn, their lists computed with other finite elements "
-        f"than the package's and given noise of 0.1 to 0.3 %. All twelve verdicts were right in {whole}; "
-        f"{whole_by_the_rule(len(cases)):.1f} are to be expected where the other ten always are: noise alone "
-        f"takes a plate near the limit beyond the probability of {SURE:g} in "
-        f"{100.0 * called_by_noise():.0f} % of cases:"
+        f"than the package's and given noise of 0.1 to 0.3 %. All twelve verdicts were right in {whole} "
+        f"({whole_by_the_rule(len(cases)):.1f} expected: noise takes "
+        f"{100.0 * called_by_noise():.0f} % of plates near the limit beyond the probability of {SURE:g}):"
     )
     table = [
         (row["kind"], *(f"**{row[v]}**" if RIGHT[row["kind"]] == v else str(row[v]) for v in VERDICTS))
