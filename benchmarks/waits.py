@@ -70,6 +70,10 @@ CASES = (
     _case("diagnose cross-ply, 12 modes", FIRST, f"diagnose {PLATES / 'cross_ply.toml'}", 15.0),
     _case("diagnose D4", FIRST, "diagnose D4", 60.0),
     _case("diagnose cross-ply, one sensor", FIRST, f"diagnose {PLATES / 'cross_ply_sensor.toml'}", 30.0),
+    _case(
+        *("sequence panel, two angles", f"{SEQUENCE}: two angles"),
+        *(f"sequence {PLATES / 'panel_two_angles.toml'}", 15.0),
+    ),
     *_sequences(f"{SEQUENCE}: thin, four angles", "C1 C2 C3 C4", 60.0),
     *_sequences(f"{SEQUENCE}: thick, four angles", "D2 D3 D4", 180.0),
     *_sequences(f"{SEQUENCE}: six angles", "F1 F2 G1", 180.0),
