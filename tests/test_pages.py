@@ -210,6 +210,10 @@ def test_a_figure_of_other_sources_is_named_too(ledger: Path) -> None:
     assert outdated(both) == ["20_swarms"]
     ledger.write_text("{}")
     assert "code: all results here." in with_age(both)
+    more = both.replace("20_swarms", "27_coins") + both.removeprefix(SECTION)
+    more += both.removeprefix(SECTION).replace("20_swarms", "05_calibration")
+    ledger.write_text(json.dumps({STUDY: fingerprint_of_study(STUDY)}))
+    assert f"code: all results here but those of `{STUDY}`." in " ".join(with_age(more).split())
 
 
 def saved_before(ledger: Path, recorded: str | None) -> Path:

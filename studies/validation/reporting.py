@@ -227,10 +227,16 @@ def outdated(page: str) -> list[str]:
 def with_age(page: str) -> str:
     """A page that says, where it is asked to, which of its results an earlier state of the code computed."""
     old = outdated(page)
-    every = len(old) > 1 and len(old) == len(studies_of(page))
-    which = "all results here" if every else f"results of {listed([f'`{name}`' for name in old])}"
+    new = sorted(studies_of(page).difference(old))
+    which = f"results of {_named(old)}"
+    if len(old) > len(new) + 1:
+        which = f"all results here{f' but those of {_named(new)}' if new else ''}"
     said = paragraph(f"Older than the code: {which}.") if old else ""
     return with_sections(page, AGE, {"studies": said})
+
+
+def _named(studies: Sequence[str]) -> str:
+    return listed([f"`{name}`" for name in studies])
 
 
 def captions(project: Path) -> list[Path]:
