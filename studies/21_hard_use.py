@@ -21,7 +21,7 @@ import subprocess
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -55,7 +55,6 @@ from validation.hostile.measurements import (
 from validation.reporting import (
     counted,
     listed,
-    markdown_table,
     paragraph,
     save_results,
     study_parser,
@@ -401,23 +400,18 @@ def sections(results: Results) -> dict[str, str]:
     signals = []
     for name in dict.fromkeys(row["signal"] for row in results["signals"]):
         of = [row for row in results["signals"] if row["signal"] == name]
-        seen = (
-            listed(sorted({str(row[key]) for row in of}))
-            for key in ("status", "left", "next_status", "left_after_the_next")
-        )
-        signals.append((name, *seen))
-    of_signals = (
-        "signal",
-        "exit status",
-        "drafts left",
-        "status of the next command",
-        "drafts left after it",
+        signals.append(f"{name} {_seen(of, 'status')}, {_seen(of, 'left')}")
+    sent = (
+        f"Each signal to each of {len(commands)} commands, exit status and drafts left: "
+        f"{'; '.join(signals)}. "
+        f"The next command ended with {_seen(results['signals'], 'next_status')} and left "
+        f"{_seen(results['signals'], 'left_after_the_next')}."
     )
-    sent = f"Each signal to each of {len(commands)} commands:"
-    return {
-        "inputs": said,
-        "signals": f"{sent}\n\n{markdown_table(of_signals, signals)}",
-    }
+    return {"inputs": said, "signals": paragraph(sent)}
+
+
+def _seen(rows: Sequence[Results], key: str) -> str:
+    return listed(sorted({str(row[key]) for row in rows}))
 
 
 def show(results: Results) -> None:

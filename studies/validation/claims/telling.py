@@ -110,8 +110,7 @@ def _unequal(beside: Record, tuned: Record) -> str:
     thresholds = f", thresholds of {' and '.join(map(str, lists))}" if lists else ""
     between = f"{min(others)} to {max(others)}" if min(others) < max(others) else str(min(others))
     return (
-        "The rates of wrong claims are not equal on these lists, so neither are the numbers of right ones to "
-        f"be read as at one rate: {ours} wrong by the diagnosis, {between} by the others. The rate is of "
+        f"Here the rates differ: {ours} wrong by the diagnosis, {between} by the others. The rate is of "
         f"{tuned['rate'][1]} development lists, answered by {listed(tuned['answered_by'])}{thresholds}."
     )
 
