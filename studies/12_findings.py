@@ -204,9 +204,9 @@ def _answers(rows: Sequence[Results], names: Sequence[str] = CONSTANTS) -> Itera
 
 
 def _value(constant: Mapping[str, float] | None) -> str:
-    return (
-        "" if constant is None else "\u2013".join(significant(constant[end], 3) for end in ("q025", "q975"))
-    )
+    if constant is None:
+        return ""
+    return "\u2013".join(significant(constant[end], 3) for end in ("q025", "q975"))
 
 
 def _published(rows: Sequence[Results]) -> str:

@@ -29,6 +29,7 @@ import cpam_bayes as cb
 from cpam_bayes.effects import CATALOGUE
 from validation.brick_cases import (
     CASES,
+    BrickCase,
     listed_frequencies,
     plate_file,
     true_frequencies,
@@ -51,17 +52,6 @@ KEYS = {
 NAMED = {effect.name for effect in CATALOGUE}
 # Answers that say the same as the cause.
 SAME = {"soft_clamp": {"clamp_rotation", "clamp_translation"}}
-# Sizes of true causes by their parameters, in the unit of the answer, where the truth has one.
-TRUE_SIZES = {
-    **{
-        name: {"sensor_mass": 10.0 * percent * CASES[name].mass}
-        for name, percent in (("mass_1_corner", 1.0), ("mass_3_off_grid", 3.0), ("mass_5_unstated", 5.0))
-    },
-    "turned": {"misorientation_deg": 6.0},
-    "taper": {"taper_x": 7.0},
-    "warp": {"sag": math.hypot(1.6, 0.9) / math.sqrt(2.0)},
-    "missing_corner": {"missing_area": 100.0 * 24.0 * 17.0 / math.prod(CASES["missing_corner"].sides[:2])},
-}
 # A size is held where it is no farther off than this, in its standard deviations: 95 % of them.
 HELD = 1.96
 SHOWN_CAUSES = 6
@@ -194,12 +184,27 @@ def _sizes(rows: Iterable[Results]) -> str:
     said, sizes = list[str](), 0
     for row in rows:
         found = {h["cause"]: h["parameters"] for h in row["hypotheses"]}[row["truth"]["cause"]]
-        for name, truth in TRUE_SIZES.get(row["case"], {}).items():
+        for name, truth in true_sizes(CASES[row["case"]]).items():
             mean, sd, sizes = found[name]["mean"], found[name]["sd"], sizes + 1
             if abs(mean - truth) > HELD * sd:
                 said.append(f"{row['case']}, {truth:.3g}: {mean:.3g} +- {sd:.2g}")
     missed = f" (not {'; '.join(said)})" if said else ""
     return f"Of the sizes of the true causes {sizes - len(said)} of {sizes} do{missed}."
+
+
+def true_sizes(case: BrickCase) -> dict[str, float]:
+    """Sizes of a true cause by its parameters, in the unit of the answer, where the truth has one."""
+    flaws, area = case.flaws, math.prod(case.sides[:2])
+    notch = 0.0 if flaws.notch is None else 1e6 * flaws.notch.along_x * flaws.notch.along_y
+    sizes = {
+        "sensor_mass": 1e3 * sum(mass.mass for mass in flaws.masses),
+        "misorientation_deg": flaws.turned_deg,
+        "taper_x": 100.0 * flaws.taper[0],
+        # the root mean square of both, as the catalogue has it
+        "sag": 1e3 * math.hypot(*flaws.sag) / math.sqrt(2.0),
+        "missing_area": 100.0 * notch / area,
+    }
+    return {name: size for name, size in sizes.items() if size}
 
 
 def _missed(rows: Iterable[Results]) -> str:
