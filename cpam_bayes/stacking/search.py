@@ -298,7 +298,10 @@ class PilotEnumeration:
         return float(self.sums.weight[n:].sum() / self.sums.weight.sum())
 
     def _listed_bins(self, problem: StackingProblem) -> int:
-        """Number of bins of the log evidence that are listed: nearly all the mass, not too many sequences."""
+        """Number of bins of the log evidence that are listed: nearly all the mass, not too many sequences.
+
+        Of bins that each hold too many, as where the frequencies tell little, as many as hold the first ones.
+        """
         settings, rules = problem.settings, problem.settings.rounds
         rest = 1.0 - np.cumsum(self.sums.weight) / self.sums.weight.sum()
         images = 1 if self.enumeration.negation is None else 2
@@ -307,7 +310,8 @@ class PilotEnumeration:
         most = int(np.searchsorted(number, settings.max_fitted, side="right"))
         if enough > most and (not most or rest[most - 1] > 1.0 - rules.worth_listing):
             most = int(np.searchsorted(number, max(rules.short, 2 * settings.listed), side="right"))
-        return min(enough, most)
+        least = int(np.searchsorted(number, settings.listed)) + 1
+        return min(enough, max(most, least))
 
 
 def training_problem(problem: StackingProblem, sums: PlySums) -> TrainingProblem:

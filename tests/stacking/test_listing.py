@@ -3,6 +3,7 @@
 from dataclasses import replace
 from functools import cache
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from cpam_bayes.stacking.listing import (
     enumerate_prefixes,
     prefixes_to_visit,
 )
+from cpam_bayes.stacking.records import StackingSettings
+from cpam_bayes.stacking.search import PilotEnumeration
 from cpam_bayes.stacking.surrogate import (
     PiecewiseLinearSurrogate,
     fit_gaussian_process,
@@ -183,6 +186,15 @@ def test_a_share_of_the_sequences_stands_for_all_but_those_that_are_listed(sums:
     assert some.mass.sum() == pytest.approx(every.mass.sum(), rel=0.02)
     assert some.kept == pytest.approx(every.kept, rel=0.02)
     np.testing.assert_allclose(some.inner / some.mass.sum(), every.inner / every.mass.sum(), atol=0.02)
+
+
+def test_sequences_that_are_all_alike_are_listed_although_they_are_too_many(sums: PlySums) -> None:
+    # as where the list tells nothing: one bin holds all of them, and more than are to be fitted
+    alike = np.full((len(GRID), len(GRID) ** 3), -0.3)
+    every = Enumeration(None, sums, 0.0, None, np.inf, alike)
+    pilot = PilotEnumeration(every, enumerate_prefixes(every, prefixes_to_visit(every)), 1.0)
+    listing = pilot.listing(SimpleNamespace(settings=StackingSettings(max_fitted=1000)))
+    assert len(enumerate_prefixes(listing, prefixes_to_visit(listing)).listed) == len(GRID) ** 4
 
 
 def test_values_on_cells_are_those_of_their_tangents(sums: PlySums) -> None:
