@@ -11,10 +11,12 @@ from matplotlib.patches import Rectangle
 
 from cpam_bayes.answer import Notice, Reliance, Verdict
 from cpam_bayes.diagnosis.answers.detectability import Detectable
+from cpam_bayes.diagnosis.diagnose import diagnosis_notices
 from cpam_bayes.diagnosis.hypotheses import Claim
 from cpam_bayes.diagnosis.next_test import Candidate
 from cpam_bayes.effects import CATALOGUE, ListChange
 from cpam_bayes.questions.diagnose import claim_sentence, diagnosis_result
+from cpam_bayes.questions.diagnose.claim import checked_effects
 from cpam_bayes.questions.diagnose.document import (
     absorbed_biases,
     answer_constants,
@@ -295,6 +297,34 @@ def test_every_claim_has_its_own_sentence(clean, misread):
     assert "too weak to exclude" in said(clean, "undecided", ("viscoelastic",), 0.4)
 
 
+@pytest.mark.parametrize(("factor", "begun"), [(2.9, "No evidence of an error"), (3.1, "Perhaps something")])
+def test_evidence_of_an_error_begins_with_a_bayes_factor_of_three(clean, factor, begun):
+    # nothing wrong has a prior of one half
+    none = next(c for c in clean.causes if c.name == "none")
+    open_ = Claim("undecided", ("viscoelastic",), 0.4)
+    found = with_causes(clean, (replace(none, probability=1.0 / (1.0 + factor)),), open_)
+    assert claim_sentence(found).startswith(begun)
+
+
+@pytest.mark.parametrize(("visible", "count"), [(0.29, 1), (0.31, 0)])
+def test_a_cause_of_which_less_than_three_tenths_show_is_hidden(clean, visible, count):
+    cause = next(c for c in clean.causes if c.name == "viscoelastic")
+    assert len(replace(clean, causes=(replace(cause, visible=visible),)).hidden_causes) == count
+
+
+@pytest.mark.parametrize(("p", "count"), [(0.09, 0), (0.11, 1)])
+def test_a_cause_is_checked_from_one_in_ten_where_nothing_is_claimed(clean, p, count):
+    cause = next(c for c in clean.causes if c.name == "viscoelastic")
+    found = with_causes(clean, (replace(cause, probability=p),), Claim("undecided", (), p))
+    assert len(checked_effects(found)) == count
+
+
+@pytest.mark.parametrize(("stable", "count"), [(0.79, 1), (0.81, 0)])
+def test_a_claim_that_one_frequency_in_five_overturns_is_warned_of(misread, stable, count):
+    found = replace(misread, gain=replace(misread.gain, stable=stable))
+    assert sum(n.code == "single_frequencies" for n in diagnosis_notices(found)) == count
+
+
 def test_two_errors_at_once_are_told_with_their_sizes(clean):
     alone = next(c for c in clean.causes if c.name == "viscoelastic")
     both = replace(
@@ -380,7 +410,7 @@ def test_the_next_step_is_the_check_of_what_is_claimed(misread):
 
 
 @pytest.mark.parametrize(
-    ("chances", "best"), [((0.2, 0.45), "load"), ((0.01, 0.06), "load"), ((0.06,), "clamp")]
+    ("chances", "best"), [((0.2, 0.31), "load"), ((0.01, 0.29), "load"), ((0.06,), "clamp")]
 )
 def test_the_test_that_decides_is_the_next_step_and_another_one_the_last(clean, chances, best):
     tests = tuple(
