@@ -172,9 +172,7 @@ def sections(results: Results) -> dict[str, str]:
 
 
 def _line(row: Results) -> str:
-    size = (
-        f"{row['truth']['cause']}: {row['truth']['size']}" if row["truth"]["cause"] != "none" else "nothing"
-    )
+    size = row["truth"]["size"] if row["truth"]["cause"] != "none" else "nothing"
     cells = (row["case"], size, row["sentence"], row["verdict"])
     return f"| {' | '.join(cells)} |"
 

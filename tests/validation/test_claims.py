@@ -417,6 +417,15 @@ def test_each_state_of_the_code_that_answered_has_its_own_figures() -> None:
     assert "states of it" not in telling.section(2, scoring.summary(records), alone)
 
 
+def test_patterns_are_counted_each_by_itself_with_the_constants_held() -> None:
+    outside = answer("named", "skew") | {"constants": {"E1_GPa": {"mean": 43.0, "sd": 1.0}}}
+    of_tape = {"former-tape-0": answer("named", "warp"), "former-tape-1": answer("undecided")}
+    answers = {**of_tape, "former-tape-2": outside, "beyond-loose-core-0": answer("none"), "prior-0": outside}
+    entries = [{"id": name, "file": DENSE, "truth": truth("warp")} for name in answers]
+    said = telling.section(5, scoring.summary(scoring.scored(entries, answers)), [])
+    assert "| tape | 1/1/0/1 | 2/3 |\n| loose core | 0/0/1/0 | 1/1 |\n\n" in said
+
+
 def test_ways_to_be_misled_are_counted_the_commonest_first() -> None:
     weak, unseen = truth("skew") | {"ratio": 4.0}, truth("warp") | {"ratio": 0.2}
     entries = [(unseen, "none")] * 3 + [(weak, "none"), (weak, "named"), (truth(), "none")]

@@ -6,7 +6,17 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from validation.claims import scoring
-from validation.claims.scoring import ABOVE, CATEGORIES, CLASS_SIZE, LIMIT_CHANCE, RIGHT, STRONG, WRONG
+from validation.claims.scoring import (
+    ABOVE,
+    CATEGORIES,
+    CLASS_SIZE,
+    LIMIT_CHANCE,
+    MISSED,
+    OF_PATTERNS,
+    RIGHT,
+    STRONG,
+    WRONG,
+)
 from validation.reporting import listed, markdown_table, paragraph
 
 Record = dict[str, Any]
@@ -26,7 +36,8 @@ def section(
 
     engines : of `scoring.by_engine`. beside : the lines of `compared`
     """
-    lines = [f"{scores['lists']} of {total} lists answered, in random order."]
+    n = scores["lists"]
+    lines = [f"All {n} lists answered." if n == total else f"{n} of {total} lists answered, in random order."]
     predictions = {} if seal is None else seal["predictions"]
     if seal is not None:
         lines += [f"Code of commit {seal['code']}, seed {seal['seed']} drawn on {seal['drawn']}."]
@@ -35,9 +46,12 @@ def section(
     plain = scores["coverage"]["plain model"]
     if plain["constants"]:
         lines += ["", f"Of the 95 % intervals of the plain model {plain['share']:.3f} hold the truth."]
-    lines += ["", *answered_by(engines), "", _confusion_table("what is hidden", scores["by_kind"])]
+    others = [row for row in scores["by_kind"] if row["what"] not in OF_PATTERNS]
+    lines += ["", *answered_by(engines), "", _confusion_table("what is hidden", others)]
     if scores["by_ratio"]:
         lines += ["", _confusion_table("signal to noise of one cause", scores["by_ratio"])]
+    if scores["by_pattern"]:
+        lines += ["", _pattern_table(scores["by_pattern"])]
     lines += beside
     if scores["wrong"]:
         lines += ["", "Wrong claims:", "", _wrong_claims(scores["wrong"])]
@@ -199,6 +213,21 @@ def _confusion_table(what: str, rows: Sequence[Record]) -> str:
     return markdown_table(
         (what, *shown, f"{CLASS_SIZE}, of right claims"),
         [(r["what"].strip(), *(str(r[c]) for c in shown), size) for r, size in zip(rows, sizes, strict=True)],
+    )
+
+
+def _pattern_table(rows: Sequence[Record]) -> str:
+    """Claims by pattern: right, of an unknown error too, missed, wrong, and the others, which are open."""
+    return markdown_table(
+        ("no cause, or misled earlier versions", "right/open/missed/wrong", "constants held"),
+        [
+            (
+                r["what"],
+                f"{r[RIGHT]}/{r['lists'] - r[RIGHT] - r[MISSED] - r[WRONG]}/{r[MISSED]}/{r[WRONG]}",
+                f"{r['inside']}/{r['constants']}",
+            )
+            for r in rows
+        ],
     )
 
 
