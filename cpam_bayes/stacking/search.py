@@ -300,7 +300,8 @@ class PilotEnumeration:
     def _listed_bins(self, problem: StackingProblem) -> int:
         """Number of bins of the log evidence that are listed: nearly all the mass, not too many sequences.
 
-        Of bins that each hold too many, as where the frequencies tell little, as many as hold the first ones.
+        Of bins that each hold many, as where the frequencies tell little, as many as hold the first ones.
+        Raises ``ValueError`` where these are too many as well.
         """
         settings, rules = problem.settings, problem.settings.rounds
         rest = 1.0 - np.cumsum(self.sums.weight) / self.sums.weight.sum()
@@ -310,7 +311,13 @@ class PilotEnumeration:
         most = int(np.searchsorted(number, settings.max_fitted, side="right"))
         if enough > most and (not most or rest[most - 1] > 1.0 - rules.worth_listing):
             most = int(np.searchsorted(number, max(rules.short, 2 * settings.listed), side="right"))
-        least = int(np.searchsorted(number, settings.listed)) + 1
+        least = min(enough, int(np.searchsorted(number, settings.listed)) + 1)
+        if least > most and number[least - 1] > settings.max_fitted:
+            raise ValueError(
+                f"{problem.specimen.source}: the frequencies do not tell stacking sequences apart: about "
+                f"{number[least - 1]:.0f} of {problem.n_sequences} are as probable as the best; measure more "
+                "frequencies, or leave fewer angles unknown"
+            )
         return min(enough, max(most, least))
 
 
