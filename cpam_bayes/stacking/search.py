@@ -74,6 +74,9 @@ _PILOT_PREFIXES = 512
 # Number of sequences up to which the surrogate is evaluated for each, and up to which its piecewise linear
 # form is; of more, some stand for all.
 _MAX_EVALUATED, _MAX_SUMMED = 3_000_000, 100_000_000
+# Times as many sequences as are fitted at most, from which on those of the first bins count as all alike;
+# by the pilot's few prefixes they may seem tens of times too many.
+_ALIKE = 50
 
 
 def exhaustive(
@@ -312,7 +315,7 @@ class PilotEnumeration:
         if enough > most and (not most or rest[most - 1] > 1.0 - rules.worth_listing):
             most = int(np.searchsorted(number, max(rules.short, 2 * settings.listed), side="right"))
         least = min(enough, int(np.searchsorted(number, settings.listed)) + 1)
-        if least > most and number[least - 1] > settings.max_fitted:
+        if least > most and number[least - 1] > _ALIKE * settings.max_fitted:
             raise ValueError(
                 f"{problem.specimen.source}: the frequencies do not tell stacking sequences apart: about "
                 f"{number[least - 1]:.0f} of {problem.n_sequences} are as probable as the best; measure more "

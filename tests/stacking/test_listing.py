@@ -188,26 +188,29 @@ def test_a_share_of_the_sequences_stands_for_all_but_those_that_are_listed(sums:
     np.testing.assert_allclose(some.inner / some.mass.sum(), every.inner / every.mass.sum(), atol=0.02)
 
 
-def pilot_of(sums: PlySums, best: int) -> tuple[PilotEnumeration, SimpleNamespace]:
-    """All sequences but the best ones, which are 0.2 nats above, are alike; 1500 may be fitted one by one."""
+def pilot_of(sums: PlySums, best: int, fitted: int) -> tuple[PilotEnumeration, SimpleNamespace]:
+    """All sequences but the best ones, which are 0.2 nats above, are alike.
+
+    fitted : at most, one by one
+    """
     value = np.full(len(GRID) ** 4, -0.5)
     value[:best] = -0.3
     every = Enumeration(None, sums, 0.0, None, np.inf, value.reshape(len(GRID), -1))
     pilot = PilotEnumeration(every, enumerate_prefixes(every, prefixes_to_visit(every)), 1.0)
     plate = SimpleNamespace(source="flat.toml")
-    few = StackingSettings(max_fitted=1500)
-    return pilot, SimpleNamespace(settings=few, specimen=plate, n_sequences=len(value))
+    settings = StackingSettings(max_fitted=fitted)
+    return pilot, SimpleNamespace(settings=settings, specimen=plate, n_sequences=len(value))
 
 
 def test_where_a_bin_holds_more_than_a_short_list_it_is_listed_all_the_same(sums: PlySums) -> None:
     # as where the list tells little: the longest list holds too little of the mass to be worth it
-    pilot, problem = pilot_of(sums, 1000)
+    pilot, problem = pilot_of(sums, 1000, fitted=1500)
     listing = pilot.listing(problem)
     assert len(enumerate_prefixes(listing, prefixes_to_visit(listing)).listed) == 1000
 
 
 def test_frequencies_that_tell_nothing_of_the_angles_are_refused(sums: PlySums) -> None:
-    pilot, problem = pilot_of(sums, 0)
+    pilot, problem = pilot_of(sums, 0, fitted=100)
     with pytest.raises(ValueError, match=r"flat\.toml: .* about 6561 of 6561 are as probable as the best"):
         pilot.listing(problem)
 
