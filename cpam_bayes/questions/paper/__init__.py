@@ -96,11 +96,8 @@ _SLOW: Final = {
 }
 # Seconds of the small effort over those of the full one, by kind, of all tables; it searches no angles.
 _QUICK_SHARE: Final = {"forward": 0.1, "constants": 0.16, "noise": 0.19}
-# Plates whose angles are sought, and whose layups are all weighed: the thick plates take far longer.
-_ANGLES_OF: Final[Mapping[str, tuple[str, ...]]] = {
-    "angles": ("C1", "C3", "D1", "D3"),
-    "layups": ("C1", "C3"),
-}
+# Plates whose angles are sought, and whose layups are all weighed.
+_WITH_ANGLES: Final = ("C1", "C3", "D1", "D3")
 _NOISE: Final = {number: name for name, number in TABLES.items()}
 
 
@@ -120,7 +117,7 @@ def tasks_of(number: int, seed: int) -> tuple[Task, ...]:
         name = _NOISE[number]
         point = Task("constants", name, *((TWO, 8) if name == "A2" else (BUILT_IN, 9)), seed)
         noise = Task("noise", name, BUILT_IN, number, seed)
-        kinds = (k for k in OF_FULL_EFFORT if name in _ANGLES_OF[k])
+        kinds = OF_FULL_EFFORT if name in _WITH_ANGLES else ()
         return (noise, point, *(Task(kind, name, BUILT_IN, number, seed) for kind in kinds))
     return ()
 
@@ -231,7 +228,7 @@ def paper(
         "calculix": lambda: calculix_frequencies(watch),
         "diagnoses": lambda: diagnoses(seed, watch),
         "sequences": lambda: sequence_cases(seed, executor, workers, watch),
-        "swarms": lambda: swarms_without_noise(effort, _ANGLES_OF["angles"]),
+        "swarms": lambda: swarms_without_noise(effort, _WITH_ANGLES),
     }
     found = {name: anew[name]() for name in slow}
     seconds = time.perf_counter() - start

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.build import reduced_model
+from cpam_bayes.forward_model.model import with_references
+from cpam_bayes.forward_model.preconditions import require_sequence
 from cpam_bayes.identification.angle_search import AngleSearchProblem, run_swarm, search_parameters
 from cpam_bayes.identification.search import required
 from cpam_bayes.inference.swarm import SwarmSettings
@@ -20,13 +22,19 @@ from cpam_bayes.plate import Material, Specimen, angle_grid, builtin, to_user, u
 from cpam_bayes.printed.repetition import perturbation_sd
 from cpam_bayes.printed.tables import PrintedRow, printed_table
 from cpam_bayes.questions.paper.rows import Results
-from cpam_bayes.questions.sequence import StackingResult, sequence
+from cpam_bayes.questions.sequence import StackingResult, stacking_result
+from cpam_bayes.stacking.posterior import sample_mixture, stacking_posterior
 from cpam_bayes.stacking.queries import given_layup
-from cpam_bayes.stacking.records import StackingPosterior
+from cpam_bayes.stacking.records import RoundSettings, StackingPosterior, StackingSettings
 from cpam_bayes.stacking.symmetry import members
 
 Array = NDArray[Any]
 
+# Where a list tells little many thousand sequences matter, 25 ms each of a thick plate. Of C1's lists
+# bits are within 0.02 of those by the usual settings, probabilities of sequences within 9 %.
+SHORT_LIST: Final = StackingSettings(
+    rounds=RoundSettings(fine_from=1.0), unaccounted=1e-2, max_fitted=2000, listed=50, draws=200
+)
 # A constant this close to a bound, as a fraction of its interval, sits on it.
 _ON_BOUND: Final = 1e-3
 
@@ -139,7 +147,7 @@ def weighed(name: str, table: int, seed: int) -> Results:
         noisy_list = replace(unlabelled, frequencies=noisy, frequency_sd=sd)
         # of another name, so that the sequence of Table 9(b) is not asked for
         one = replace(specimen, name=f"{name}, {row.source}", measurement=noisy_list)
-        result = sequence(one, seed=seed)
+        result = _sequence(one, seed)
         answer, information = result.answer, result.information
         levels.append(
             {
@@ -160,6 +168,13 @@ def weighed(name: str, table: int, seed: int) -> Results:
             }
         )
     return {"levels": levels}
+
+
+def _sequence(specimen: Specimen, seed: int) -> StackingResult:
+    """As `sequence` answers, by a shorter list."""
+    one = with_references(require_sequence(specimen.with_unknown_angles()))
+    answer = stacking_posterior(one, seed, settings=SHORT_LIST)
+    return stacking_result(answer, sample_mixture(answer, seed), None, seed, SHORT_LIST.listed)
 
 
 def _together(answer: StackingPosterior, angles_deg: Sequence[float]) -> float:
