@@ -6,7 +6,6 @@ import os
 import subprocess
 import sys
 import tomllib
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,7 +13,7 @@ import pytest
 import cpam_bayes as cb
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.questions.new import MATERIALS, QUESTIONS
-from tests.plate_file import Run, refused
+from tests.plate_file import refused
 
 FULL = ("--size", "310", "228", "3.1", "--mass", "340.7", "--edges", "FFFF", "--frequencies", "80.2", "146.3")
 
@@ -125,17 +124,8 @@ def test_what_is_wrong_is_refused_and_nothing_is_written(run, tmp_path, argv, sa
 
 
 ANSWERS = (
-    "310 228 3.1",
-    "340.7",
-    "carbon",
-    "132 9.1 0.31 4.8",
-    "[0/90]_2s",
-    "ffff",
-    "0.02",
-    "0.6 300 220",
-    "yes",
-    "",
-    "80.2 146.3 218.6",
+    *("310 228 3.1", "340.7", "carbon", "132 9.1 0.31 4.8", "[0/90]_2s", "ffff"),
+    *("0.02", "0.6 300 220", "yes", "", "80.2 146.3 218.6"),
 )
 
 
@@ -146,163 +136,138 @@ class Terminal(io.StringIO):
         return True
 
 
-def typed(monkeypatch: pytest.MonkeyPatch, *lines: str) -> Terminal:
-    terminal = Terminal("".join(f"{line}\n" for line in lines))
-    monkeypatch.setattr(sys, "stdin", terminal)
-    return terminal
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "panel.toml"
 
 
-def test_the_answers_are_the_plate(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    typed(monkeypatch, *ANSWERS)
-    path = tmp_path / "panel.toml"
-    status, out, err = run("new", path)
+@pytest.fixture
+def asked(run, path, monkeypatch):
+    """Run `new` where these lines are typed: status, standard output and error, and what was not read."""
+
+    def answering(*lines, argv=()):
+        terminal = Terminal("".join(f"{line}\n" for line in lines))
+        monkeypatch.setattr(sys, "stdin", terminal)
+        return *run("new", path, *argv), terminal.read()
+
+    return answering
+
+
+def test_the_answers_are_the_plate_and_the_file_that_of_the_options(run, asked, path, tmp_path):
+    status, out, err, _ = asked(*ANSWERS)
     assert status == 0
-    assert cb.read_plate(path).name == "panel"
     assert all(q.text in err and q.text not in out for q in QUESTIONS)
-    plate = cb.read_plate(path)
-    assert (plate.plate.length, plate.plate.mass, plate.plate.layup.n_plies) == (0.31, 0.3407, 8)
-    assert plate.measurement is not None
-    assert plate.measurement.frequencies.tolist() == [80.2, 146.3, 218.6]
-    assert dict(plate.plate.sd) == {"thickness": 2e-5}
-    assert (plate.sensors[0].mass, plate.sensors[0].x, plate.air_density) == (6e-4, 0.3, 1.2)
-
-
-def test_the_file_is_that_of_the_options(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    typed(monkeypatch, *ANSWERS)
-    run("new", tmp_path / "panel.toml")
+    read = cb.read_plate(path)
+    assert read.name == "panel"
+    assert (read.plate.length, read.plate.mass, read.plate.layup.n_plies) == (0.31, 0.3407, 8)
+    assert read.measurement.frequencies.tolist() == [80.2, 146.3, 218.6]
+    assert dict(read.plate.sd) == {"thickness": 2e-5}
+    assert (read.sensors[0].mass, read.sensors[0].x, read.air_density) == (6e-4, 0.3, 1.2)
     (tmp_path / "other").mkdir()
     measured = ("--thickness-sd", "0.02", "--accelerometer", "0.6", "300", "220", "--air", "1.2")
     options = (*FULL, "218.6", "--material", "carbon", *SHEET, "--layup", "[0/90]_2s", *measured)
     status, _, err = run("new", tmp_path / "other" / "panel.toml", *options)
     assert (status, err) == (0, "")
-    first, second = ((tmp_path / p).read_text("utf-8") for p in ("panel.toml", "other/panel.toml"))
-    assert first == second
+    assert (tmp_path / "other" / "panel.toml").read_text("utf-8") == path.read_text("utf-8")
 
 
-@pytest.mark.parametrize(
-    ("at", "wrong", "said"),
-    [
-        (0, "310 by 228", "accepted: numbers with spaces"),
-        (10, "80,146", "accepted: numbers with spaces"),
-        (10, "80,146,218", "accepted: numbers with spaces"),
-        (10, "80,2 146.3", "accepted: numbers with spaces"),
-        (0, "310 228", "accepted: length, width and thickness"),
-        (0, "3.1 2.2 310", "not a plate"),
-        (1, "1 2", "accepted: one number"),
-        (1, "0.3407", "is the mass in kg?"),
-        (2, "wood", "accepted: carbon glass"),
-        (3, "132 9.1", "accepted: E1_GPa, E2_GPa, nu12 and G12_GPa"),
-        (3, "9.1 132 0.31 4.8", "eq. (9)"),
-        (4, "[0/9x]", "malformed layup"),
-        (5, "FFFX", "plate.edges: malformed"),
-        (6, "little", "accepted: one number"),
-        (7, "0.6", "accepted: mass in g, x and y in mm"),
-        (7, "0.6 400 220", "outside the plate"),
-        (8, "perhaps", "accepted: yes or no"),
-        (9, "none.csv", "no such file"),
-        (10, "200 100", "descending frequencies"),
-    ],
-)
-def test_what_cannot_be_is_asked_again(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int, wrong: str, said: str
-) -> None:
-    typed(monkeypatch, *ANSWERS[:at], wrong, *ANSWERS[at:])
-    status, _, err = run("new", tmp_path / "panel.toml")
-    assert status == 0
-    assert said in err
-    assert cb.read_plate(tmp_path / "panel.toml").plate.mass == 0.3407
+# Wrong answers to a question and what is said of them.
+NUMBERS = "accepted: numbers with spaces"
+WRONG = {
+    0: {"310 by 228": NUMBERS, "310 228": "accepted: length, width and thickness", "3.1 2.2 310": "not a plate"},
+    1: {"1 2": "accepted: one number", "0.3407": "is the mass in kg?"},
+    2: {"wood": "accepted: carbon glass"},
+    3: {"132 9.1": "accepted: E1_GPa, E2_GPa, nu12 and G12_GPa", "9.1 132 0.31 4.8": "eq. (9)"},
+    4: {"[0/9x]": "malformed layup"},
+    5: {"FFFX": "plate.edges: malformed"},
+    6: {"little": "accepted: one number"},
+    7: {"0.6": "accepted: mass in g, x and y in mm", "0.6 400 220": "outside the plate"},
+    8: {"perhaps": "accepted: yes or no"},
+    9: {"none.csv": "no such file"},
+    10: {
+        **dict.fromkeys(("80,146", "80,146,218", "80,2 146.3"), NUMBERS),
+        "200 100": "descending frequencies",
+    },
+}
 
 
-def test_back_passes_over_what_was_not_asked_and_ends_at_the_first_question(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_is_asked_again(asked, path):
+    lines = [line for at, right in enumerate(ANSWERS) for line in (*WRONG[at], right)]
+    status, _, rest, left = asked(*lines)
+    assert (status, left) == (0, "")
+    for said in (said for wrong in WRONG.values() for said in wrong.values()):
+        before, found, rest = rest.partition(said)
+        assert found, before
+    read = cb.read_plate(path)
+    assert (read.plate.mass, read.plate.edges, read.measurement.size) == (0.3407, "FFFF", 3)
+
+
+def test_back_passes_over_what_was_not_asked_and_ends_at_the_first_question(asked, path):
     in_cm = ("31 22.8 0.31", "340.7", "<")
-    typed(monkeypatch, "<", *in_cm, "300 280 3", "680", "metal", "<", *ANSWERS[2:])
-    status, _, err = run("new", tmp_path / "panel.toml")
+    status, _, err, _ = asked("<", *in_cm, "300 280 3", "680", "metal", "<", *ANSWERS[2:])
     assert status == 0
     assert "are the sizes in mm? (< goes back to the answer before)" in err
-    plate = cb.read_plate(tmp_path / "panel.toml")
+    plate = cb.read_plate(path)
     assert (plate.plate.thickness, plate.material.isotropic) == (0.003, False)
 
 
 @pytest.mark.parametrize(
     "size", ["310 x 228 x 3.1", "310x228x3,1", "310 228 3,1", "310, 228, 3.1", "310;228;3.1"]
 )
-def test_numbers_are_read_as_they_are_written_by_hand(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: str
-) -> None:
-    typed(monkeypatch, size, "340,7", *ANSWERS[2:10], "80,2 146,3 218,6")
-    assert run("new", tmp_path / "panel.toml")[0] == 0
-    read = cb.read_plate(tmp_path / "panel.toml")
-    assert (read.plate.length, read.plate.thickness, read.plate.mass) == pytest.approx((0.31, 3.1e-3, 0.3407))
-    assert read.measurement is not None
-    assert read.measurement.frequencies.tolist() == [80.2, 146.3, 218.6]
+def test_numbers_are_read_as_they_are_written_by_hand(asked, path, size):
+    assert asked(size, "340,7", *[""] * 8, "80,2 146,3 218,6")[0] == 0
+    read = tomllib.loads(path.read_text("utf-8"))
+    sizes = [read["plate"][key] for key in ("length_mm", "width_mm", "thickness_mm", "mass_g")]
+    assert sizes == [310.0, 228.0, 3.1, 340.7]
+    assert read["measurement"]["frequencies_hz"] == [80.2, 146.3, 218.6]
 
 
-def test_empty_lines_leave_all_open(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    typed(monkeypatch, *[""] * 11)
-    status, _, _ = run("new", tmp_path / "panel.toml")
-    assert status == 0
+def test_empty_lines_leave_all_open(asked, path, tmp_path):
+    assert asked(*[""] * 11)[0] == 0
     (tmp_path / "other").mkdir()
-    assert (tmp_path / "panel.toml").read_text("utf-8") == cb.new(tmp_path / "other" / "panel.toml").text
+    assert path.read_text("utf-8") == cb.new(tmp_path / "other" / "panel.toml").text
 
 
-def test_a_metal_has_no_layup_and_a_table_no_list(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_metal_has_no_layup_and_a_table_no_list(asked, path, tmp_path):
     (tmp_path / "modes.csv").write_text("mode,hz\n1,80.2\n2,146.3\n", encoding="utf-8")
-    left = typed(monkeypatch, "300 280 3", "680", "Metal", "69 0.33", "FFFF", "", "", "no", "modes.csv", "")
-    status, _, _ = run("new", tmp_path / "panel.toml")
+    status, _, _, left = asked("300 280 3", "680", "Metal", "69 0.33", "FFFF", "", "", "no", "modes.csv", "")
     assert status == 0
-    assert left.read() == "\n", "the list is not asked for"
-    plate = cb.read_plate(tmp_path / "panel.toml")
+    assert left == "\n", "the list is not asked for"
+    plate = cb.read_plate(path)
     assert plate.material.isotropic
-    assert plate.measurement is not None
     assert plate.measurement.size == 2
 
 
-def test_an_end_of_the_answers_writes_nothing(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    typed(monkeypatch, *ANSWERS[:3])
-    status, out, err = run("new", tmp_path / "panel.toml")
-    assert (status, out) == (2, "")
-    assert "not answered to the end" in err
+def test_an_end_of_the_answers_writes_nothing(asked, tmp_path):
+    refused(asked(*ANSWERS[:3])[:3], "not answered to the end")
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("argv", [(), FULL])
-def test_a_file_that_is_there_is_refused_before_the_first_question(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, argv: tuple[str, ...]
-) -> None:
-    (tmp_path / "panel.toml").write_text("mine", encoding="utf-8")
-    typed(monkeypatch, *ANSWERS)
-    status, _, err = run("new", tmp_path / "panel.toml", *argv)
-    assert status == 2
-    assert err == f"error: {tmp_path / 'panel.toml'}: exists; give another name\n"
-    assert (tmp_path / "panel.toml").read_text("utf-8") == "mine"
+def test_a_file_that_is_there_is_refused_before_the_first_question(asked, path, argv):
+    path.write_text("mine", encoding="utf-8")
+    status, _, err, _ = asked(*ANSWERS, argv=argv)
+    assert (status, err) == (2, f"error: {path}: exists; give another name\n")
+    assert path.read_text("utf-8") == "mine"
 
 
 @pytest.mark.parametrize("argv", [("--json",), ("--edges", "FFFF")])
-def test_a_script_is_asked_nothing(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, argv: tuple[str, ...]
-) -> None:
-    left = typed(monkeypatch, *ANSWERS)
-    status, _, err = run("new", tmp_path / "panel.toml", *argv)
+def test_a_script_is_asked_nothing(asked, argv):
+    status, _, err, left = asked(*ANSWERS, argv=argv)
     assert (status, err) == (0, "")
-    assert left.tell() == 0
+    assert left.startswith(ANSWERS[0])
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="a terminal of POSIX")
-def test_a_real_terminal_is_asked(tmp_path: Path) -> None:
+def test_a_real_terminal_is_asked(tmp_path):
     terminal, stdin = os.openpty()
     command = [sys.executable, "-m", "cpam_bayes", "new", "panel.toml"]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=stdin, stdout=pipe, stderr=pipe, cwd=tmp_path) as running:
-        os.write(terminal, "".join(f"{line}\n" for line in ANSWERS).encode())
+        os.write(terminal, b"\n\n\n\n\nFFFF\n\n\n\n\n\n")
         _, err = running.communicate(timeout=60)
     os.close(terminal)
     os.close(stdin)
     assert running.returncode == 0
     assert b"Length (along x)" in err
-    assert cb.read_plate(tmp_path / "panel.toml").plate.edges == "FFFF"
+    assert 'edges = "FFFF"' in (tmp_path / "panel.toml").read_text("utf-8")
