@@ -358,9 +358,7 @@ def test_an_answer_that_cannot_be_saved_is_shown_all_the_same(run, tmp_path, mon
 
 
 @pytest.mark.parametrize("buffered", ["", "1"])
-@pytest.mark.parametrize(
-    "argv", [("plates",), ("plates", "--json"), ("--version",), ("--help",), ("forward", "--help")]
-)
+@pytest.mark.parametrize("argv", [("plates",), ("--version",), ("--help",), ("forward", "--help")])
 def test_an_answer_that_a_full_disk_does_not_take_is_said_to_be_lost(buffered, argv):
     with open("/dev/full", "w") as full:
         done = subprocess.run(

@@ -174,7 +174,11 @@ def test_the_answers_are_the_plate_and_the_file_that_of_the_options(run, asked, 
 # Wrong answers to a question and what is said of them.
 NUMBERS = "accepted: numbers with spaces"
 WRONG = {
-    0: {"310 by 228": NUMBERS, "310 228": "accepted: length, width and thickness", "3.1 2.2 310": "not a plate"},
+    0: {
+        "310 by 228": NUMBERS,
+        "310 228": "accepted: length, width and thickness",
+        "3.1 2.2 310": "not a plate",
+    },
     1: {"1 2": "accepted: one number", "0.3407": "is the mass in kg?"},
     2: {"wood": "accepted: carbon glass"},
     3: {"132 9.1": "accepted: E1_GPa, E2_GPa, nu12 and G12_GPa", "9.1 132 0.31 4.8": "eq. (9)"},

@@ -110,14 +110,21 @@ def written_universal(path: Path, data: FrequencyResponses, binary: int) -> None
     pyuff.UFF(str(path)).write_sets(sets, "add")
 
 
+@pytest.fixture(scope="module")
+def tapped(tmp_path_factory: pytest.TempPathFactory) -> cb.PolesResult:
+    path = tmp_path_factory.mktemp("tap") / "tap.unv"
+    written_universal(path, responses(), 0)
+    return cb.poles(path, order=40)
+
+
 # pyuff leaves the file open that it writes binary data to
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize("binary", [0, 1])
-def test_datasets_58_are_read(tmp_path: Path, binary: int) -> None:
-    written_universal(tmp_path / "tap.unv", responses(), binary)
-    result = cb.poles(tmp_path / "tap.unv", order=40)
-    assert result.test.responses.origin == "dataset 58, 2 responses"
-    assert_known(result.modes)
+def test_datasets_58_are_read(tapped: cb.PolesResult, tmp_path: Path) -> None:
+    assert tapped.test.responses.origin == "dataset 58, 2 responses"
+    assert_known(tapped.modes)
+    written_universal(tmp_path / "tap.unv", responses(), 1)
+    binary = cb.poles(tmp_path / "tap.unv", order=40)
+    assert_known(binary.modes)
 
 
 def test_tables_are_read_in_either_form(tmp_path: Path) -> None:
@@ -248,18 +255,6 @@ def test_channels_and_files_that_are_not_there_are_named(recorded, tmp_path, fil
         cb.poles(*(folder / name for name in files), **options, **({"window": "none"} if options else {}))
 
 
-def test_mains_hum_is_named_with_the_peaks_that_are_seen(tmp_path: Path) -> None:
-    samples = hits(1)[:, 1] / 30000.0
-    t = np.arange(len(samples)) / RATE
-    samples = 0.5 * samples + 0.2 * np.sin(2.0 * np.pi * 50.0 * t)
-    wavfile.write(tmp_path / "hum.wav", RATE, samples.astype(np.float32))
-    result = cb.poles(tmp_path / "hum.wav", response=[1], window="none", order=20)
-    assert [n.facts["mains"] for n in result.notices if n.code == "hum"] == [50.0]
-    wavfile.write(tmp_path / "clean.wav", RATE, hits(1)[:, 1])
-    clean = cb.poles(tmp_path / "clean.wav", response=[1], window="none", order=20)
-    assert clean.test.responses.notices == ()
-
-
 def test_decays_at_a_high_rate_are_searched_where_they_stand_above_noise(tmp_path: Path) -> None:
     rate, rng = 44100, np.random.default_rng(0)
     t = np.arange(3 * rate) / rate
@@ -285,12 +280,14 @@ def test_a_peak_without_a_mode_is_named(tmp_path: Path) -> None:
     assert result.notices[0] == Notice("peaks_without_pole", facts={"peaks": (250.0,)})
 
 
-def test_the_table_is_read_by_a_plate_file(run, tmp_path: Path) -> None:
-    written_universal(tmp_path / "tap.unv", responses(), 0)
+def test_the_table_is_read_by_a_plate_file(tapped: cb.PolesResult, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    status, text, err = run("poles", tmp_path / "tap.unv", "--order", "40", "--json", "--quiet", "--out", out)
-    assert status == 0, err
-    document = json.loads(text)
+    tapped.save(out)
+    shown = tapped.summary(verbose=True)
+    assert "5 modes from 81" in shown
+    assert 'table = "modes.csv"' in shown
+    assert any("closer than their peaks are wide: 147.3 and 149.6" in said for said in tapped.warnings)
+    document = json.loads((out / "poles.json").read_text("utf-8"))
     assert [set(mode) for mode in document["modes"]] == [KEYS] * 5
     assert all(a["hz"] < b["hz"] for a, b in pairwise(document["modes"]))
     names = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
@@ -308,15 +305,6 @@ def test_the_table_is_read_by_a_plate_file(run, tmp_path: Path) -> None:
     heights = np.array([m["height"] for m in document["modes"]])
     probability = cb.read_plate(tmp_path / "bar.toml").measurement.mode_probability
     np.testing.assert_allclose(probability, mode_probability(heights, np.ones(5)), rtol=0.02)
-
-
-def test_the_screen_says_what_to_do_and_names_close_modes(run, tmp_path: Path) -> None:
-    written_universal(tmp_path / "tap.unv", responses(), 0)
-    status, out, err = run("poles", tmp_path / "tap.unv", "--order", "40", "--verbose")
-    assert status == 0
-    assert "5 modes from 81" in out
-    assert 'table = "modes.csv"' in out
-    assert "closer than their peaks are wide: 147.3 and 149.6" in err
 
 
 def test_no_mode_is_no_success_and_says_what_to_try(run, tmp_path: Path) -> None:
@@ -349,6 +337,8 @@ def listed(heads: str, row: str) -> bytes:
 
 STEADY = [f"{i},1,0" for i in range(100)]
 HIT: dict[str, Any] = {"response": [1], "window": "none"}
+MANY_HITS = wave(1, np.tile(np.array([1, 0, 0], np.int16), 2000))
+LONG = wave(48_000, np.tile(np.array([255, 0], np.uint8), 4_100_000))
 
 
 @pytest.mark.parametrize(
@@ -377,33 +367,13 @@ HIT: dict[str, Any] = {"response": [1], "window": "none"}
         ("tap.unv", b"    -1\n" * 30_000, {}, "received 15000 datasets, accepted: 10000 at most"),
         ("tap.wav", wave(0, np.ones(9, np.int16)), HIT, "9 samples, 0 a second, accepted: above 0"),
         ("tap.wav", wave(8, np.full(99, np.nan)), HIT, "samples that are no numbers"),
-        (
-            "tap.wav",
-            wave(1, np.tile(np.array([1, 0, 0], np.int16), 2000)),
-            HIT,
-            "2000 hits, accepted: 1000 at most",
-        ),
-        (
-            "tap.wav",
-            wave(48_000, np.tile(np.array([255, 0], np.uint8), 4_100_000)),
-            HIT,
-            "Hz, accepted: 2000000 values at most",
-        ),
+        ("tap.wav", MANY_HITS, HIT, "2000 hits, accepted: 1000 at most"),
+        ("tap.wav", LONG, HIT, "Hz, accepted: 2000000 values at most"),
+        ("tap.csv", listed("hz,magnitude,phase [deg]", "-3,100"), {}, "magnitudes below 0, down to -3, "),
+        ("tap.csv", listed("hz,magnitude,phase", "1,3.1"), {}, "phases up to 3.1 of no unit, accepted: phas"),
         (
             "tap.csv",
-            listed("hz,magnitude,phase [deg]", "-3.0,100.0"),
-            {},
-            "magnitudes below 0, down to -3, ",
-        ),
-        (
-            "tap.csv",
-            listed("hz,magnitude,phase", "1.0,3.1"),
-            {},
-            "phases up to 3.1 of no unit, accepted: phas",
-        ),
-        (
-            "tap.csv",
-            listed("hz,magnitude,phase [deg]", "61.0,100.0"),
+            listed("hz,magnitude,phase [deg]", "61,100"),
             {},
             "magnitudes from 61 to 61 of no unit, as levels in dB are, accepted: magnitude [dB]",
         ),
@@ -458,7 +428,7 @@ def test_hum_is_no_mode(tmp_path: Path) -> None:
     records = recorded_hits(np.random.default_rng(4), PLATE, DAMPED, 3, Faults(hum=0.05))
     result = of_hits(tmp_path, records)
     assert_found(result, 0.003)
-    assert "hum" in codes(result)
+    assert {n.facts["mains"] for n in result.notices if n.code == "hum"} == {50.0}
     assert not any(abs(mode.frequency - f) < 1.0 for mode in result.modes for f in (50.0, 150.0))
     peaks = next(notice.facts["peaks"] for notice in result.notices if notice.code == "peaks_without_pole")
     assert all(is_of_mains(f, result.test.responses.step) for f in peaks)
@@ -470,7 +440,7 @@ def test_what_follows_a_second_stroke_is_the_free_decay(tmp_path: Path) -> None:
     assert "double_hits" in codes(result)
     assert_found(result, 0.003)
     once = of_hits(tmp_path, recorded_hits(np.random.default_rng(5), PLATE, DAMPED, 3))
-    assert "double_hits" not in codes(once)
+    assert not codes(once) & {"double_hits", "hum"}
 
 
 @pytest.mark.parametrize("height", [0.4, 0.22])
