@@ -7,6 +7,7 @@ import pytest
 from cpam_bayes.forward_model.labels import label_notices
 from cpam_bayes.questions.forward import ForwardResult, forward
 from cpam_bayes.render.terminal import plain_text
+from tests.plate_file import described
 
 
 @pytest.fixture(scope="module")
@@ -86,20 +87,8 @@ def test_a_difference_beyond_all_constants_is_a_factor(
 
 def strip(edges: str, n: int) -> ForwardResult:
     """The first modes of a slender aluminium strip."""
-    return forward(
-        {
-            "name": "strip",
-            "plate": {
-                "length_mm": 300,
-                "width_mm": 20,
-                "thickness_mm": 2,
-                "density_kg_m3": 2700,
-                "edges": edges,
-            },
-            "material": {"isotropic": True, "E1_GPa": 70.0, "nu12": 0.0},
-        },
-        n,
-    )
+    material = {"isotropic": True, "E1_GPa": 70.0, "nu12": 0.0}
+    return forward(described((300.0, 20.0, 2.0), 2700.0, material, edges=edges), n)
 
 
 def test_a_strip_is_held_on_the_nodal_lines_of_its_first_mode_and_hit_where_all_modes_move() -> None:

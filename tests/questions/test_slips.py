@@ -15,26 +15,16 @@ from cpam_bayes.questions.identify import slips
 from cpam_bayes.questions.identify.slips import Slip, corrected_file, explaining_slips
 from tests.batches.plates import N_MODES, plate
 from tests.hybrids import hybrid
+from tests.plate_file import described
 
 NOISE = 0.001
-PLATE: dict[str, Any] = {
-    "name": "p",
-    "plate": {
-        "length_mm": 310.0,
-        "width_mm": 228.0,
-        "thickness_mm": 3.1,
-        "density_kg_m3": 1550.0,
-        "layup": "[0_8]",
-        "edges": "FFFF",
-    },
-    "material": {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8},
-    "unknowns": {
-        "E1_GPa": [80.0, 200.0],
-        "E2_GPa": [5.0, 16.0],
-        "nu12": [0.15, 0.45],
-        "G12_GPa": [2.5, 10.0],
-    },
-}
+PLATE = described(
+    (310.0, 228.0, 3.1),
+    1550.0,
+    {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8},
+    layup="[0_8]",
+    unknowns={"E1_GPa": [80.0, 200.0], "E2_GPa": [5.0, 16.0], "nu12": [0.15, 0.45], "G12_GPa": [2.5, 10.0]},
+) | {"name": "p"}
 
 EXCHANGED = """
 [plate]
@@ -101,26 +91,19 @@ def test_sides_exchanged_are_named_and_written_anew(tmp_path: Path) -> None:
         pytest.param(
             lambda: stated(listed(edges="CFFF"), edges="FCFF"), ("edges", 0), marks=pytest.mark.slow
         ),
-        pytest.param(
-            lambda: stated(listed(edges="CFFF"), edges="CFFF", layup="[90_8]"),
-            ("layup", 0),
-            marks=pytest.mark.slow,
-        ),
         (lambda: stated(np.delete(listed(11), 3)), ("missed", 4)),
         (lambda: stated(np.append(listed(11)[:10], 250.0)), ("false", 4)),
         (lambda: stated(listed(11) * np.where(np.arange(11) == 10, 10.0, 1.0)), ("decimal", 11)),
         (lambda: stated(listed(11) * np.where(np.arange(11) == 2, 1.12, 1.0)), ("misread", 3)),
         # misread by so much that it stands two places further on
         (lambda: stated(listed(11) * np.where(np.arange(11) == 2, 1.75, 1.0)), ("misread", 5)),
-        # a point put wrong within the list
-        (lambda: stated(listed(11) * np.where(np.arange(11) == 9, 0.1, 1.0)), ("decimal", 1)),
         pytest.param(
             lambda: stated(listed(edges="CFCF"), edges="SFSF"), ("supports", 0), marks=pytest.mark.slow
         ),
     ],
     ids=(
-        *("edges", "layup", "missed", "false", "decimal", "misread"),
-        *("misread and sorted", "decimal within", "supports"),
+        *("edges", "missed", "false", "decimal", "misread"),
+        *("misread and sorted", "supports"),
     ),
 )
 def test_a_slip_is_named(file: Any, expected: tuple[str, int]) -> None:
@@ -137,6 +120,7 @@ def test_slips_are_weighed_once_where_a_list_is_reached_by_none_but_them(
         return explaining_slips(specimen)
 
     monkeypatch.setattr(slips, "explaining_slips", counted)
+    # a point put wrong within the list
     answer = cb.identify(stated(listed(11) * np.where(np.arange(11) == 9, 0.1, 1.0)), seed=0)
     assert [(slip.kind, slip.number) for slip in answer.explained_by] == [("decimal", 1)]
     assert weighed == ["p"]
@@ -158,10 +142,8 @@ def test_a_mass_left_on_the_plate_is_no_slip_of_its_file(sensor: dict[str, float
 @pytest.mark.parametrize(
     ("true", "said", "kind"),
     [
-        pytest.param("CFFF", "FFFF", "clamped", marks=pytest.mark.slow),
         ("FCFF", "FFFF", "clamped"),
         ("FFFF", "FCFF", "free"),
-        pytest.param("FFFF", "CFCF", "free", marks=pytest.mark.slow),
         pytest.param("FFFF", "SSSS", "free", marks=pytest.mark.slow),
     ],
 )
@@ -221,7 +203,7 @@ def test_a_turned_layup_keeps_the_names_of_its_plies() -> None:
     f = cb.forward(true, 10).frequencies.tolist()
     turned = stated(f, edges="CFFF", layup="[thick90/thin-45]_s")
     (slip,) = explaining_slips(cb.read_plate({**turned, "ply": plies}))
-    assert slip.edits == {("plate", "layup"): "[thick0/thin45/thin45/thick0]"}
+    assert (slip.kind, slip.edits) == ("layup", {("plate", "layup"): "[thick0/thin45/thin45/thick0]"})
 
 
 def test_nothing_is_tried_of_several_materials() -> None:
