@@ -1,7 +1,6 @@
 """The question `prove`: what it reads, what it seals, what it says."""
 
 import hashlib
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,13 +8,12 @@ import numpy as np
 import pytest
 
 import cpam_bayes as cb
-from cpam_bayes.cli import main
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.questions.prove import CoinResult
 from cpam_bayes.questions.prove.lists import given_twice
 from cpam_bayes.render.notices import sentence_of
 from cpam_bayes.render.terminal import plain_text
-from tests.plate_file import PLATE
+from tests.plate_file import PLATE, Run
 
 N = 8
 COIN = {"mass_g": 20.0, "x_mm": 60.0, "y_mm": 50.0}
@@ -87,24 +85,22 @@ def test_the_second_list_is_predicted_from_the_first_and_the_seal(result: CoinRe
 
 def test_the_hash_is_that_of_the_sealed_file(result: CoinResult) -> None:
     digest = hashlib.sha256(SEAL.encode()).hexdigest()
-    assert result.hash == digest
+    assert result.hash == result.to_dict()["hash"] == digest
     assert digest in plain_text(result.report().sections[0].tables[0])
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize("quiet", [(), ("--quiet",)])  # without progress, not without the promise
 def test_the_hash_is_shown_before_the_work(
-    lists: tuple[Path, str, str, str], capsys: pytest.CaptureFixture[str]
+    run: Run, lists: tuple[Path, str, str, str], monkeypatch: pytest.MonkeyPatch, quiet: tuple[str, ...]
 ) -> None:
-    folder, plate, coin, none = lists
-    arguments = ["prove", plate, coin, none, "--sealed", str(folder / "seal.toml"), "--json"]
-    assert main(arguments) == 0
-    shown = capsys.readouterr()
+    def begun(*args: object, **options: object) -> None:
+        raise ValueError("the work has begun")
+
+    monkeypatch.setattr("cpam_bayes.questions.prove.identify", begun)
+    folder, *files = lists
+    _, out, err = run("prove", *files, "--sealed", folder / "seal.toml", *quiet)
     digest = hashlib.sha256(SEAL.encode()).hexdigest()
-    assert shown.err.index(digest) < shown.err.index("identify plate 7")
-    assert json.loads(shown.out)["hash"] == digest
-    # quiet is without progress, not without the promise
-    assert main([*arguments, "--quiet"]) == 0
-    assert capsys.readouterr().err == f"SHA-256 of the seal: {digest}\n"
+    assert (out, err) == ("", f"SHA-256 of the seal: {digest}\nerror: the work has begun\n")
 
 
 def test_the_certificate_says_what_was_found_for_what_was_sealed_and_the_mirror_images(

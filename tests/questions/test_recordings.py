@@ -3,6 +3,7 @@
 import json
 import shutil
 import tomllib
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -107,6 +108,19 @@ def test_the_model_picks_the_modes_among_the_peaks_in_one_command(run, plate: Pa
     assert (tmp_path / "out" / "figures" / "spectrum.svg").exists()
 
 
+@pytest.fixture
+def of_peaks(tmp_path: Path) -> Callable[..., Path]:
+    """Write a table of peaks and a plate file that names it, and return the plate file's path."""
+
+    def write(peaks: str, more: str = "") -> Path:
+        (tmp_path / "peaks.csv").write_text(peaks, encoding="utf-8")
+        path = tmp_path / "plate.toml"
+        path.write_text(f'{PLATE}[measurement]\npeaks = "peaks.csv"\n{more}', encoding="utf-8")
+        return path
+
+    return write
+
+
 def test_a_peak_of_its_own_probability_is_a_mode_with_it_where_modes_are_as_dense_as_peaks() -> None:
     q = mode_probability(np.array([0.6, 1.8, 1e9, 1e-9, 0.6]), np.array([1.0, 1.0, 1.0, 1.0, 0.5]))
     np.testing.assert_allclose(q, [0.5, 0.75, 0.98, 0.02, 1.0 / 3.0])
@@ -114,10 +128,8 @@ def test_a_peak_of_its_own_probability_is_a_mode_with_it_where_modes_are_as_dens
     np.testing.assert_allclose(q.sum() / (q.sum() + false_peaks(q)), q)
 
 
-def test_a_table_of_peaks_is_weighed_as_recordings_are(tmp_path: Path) -> None:
-    (tmp_path / "peaks.csv").write_text("hz;sd;height\n300;0,1;9\n114;0,1;3\n218;0,2;0,6\n", encoding="utf-8")
-    path = tmp_path / "plate.toml"
-    path.write_text(f'{PLATE}[measurement]\npeaks = "peaks.csv"\nrelative_std = 0.01\n', encoding="utf-8")
+def test_a_table_of_peaks_is_weighed_as_recordings_are(of_peaks) -> None:
+    path = of_peaks("hz;sd;height\n300;0,1;9\n114;0,1;3\n218;0,2;0,6\n", "relative_std = 0.01\n")
     found = cb.read_plate(path).measurement
     np.testing.assert_allclose(found.frequencies, [114.0, 218.0, 300.0])
     np.testing.assert_allclose(found.mode_probability, [5.0 / 6.0, 0.5, 15.0 / 16.0])
@@ -125,11 +137,8 @@ def test_a_table_of_peaks_is_weighed_as_recordings_are(tmp_path: Path) -> None:
     assert not found.complete
 
 
-def test_a_peak_that_stands_out_and_is_taken_for_no_mode_is_named(tmp_path: Path) -> None:
-    (tmp_path / "peaks.csv").write_text("hz,sd,height\n114,1,30\n218,2,30\n300,3,0.6\n", encoding="utf-8")
-    path = tmp_path / "plate.toml"
-    path.write_text(f'{PLATE}[measurement]\npeaks = "peaks.csv"\n', encoding="utf-8")
-    measurement = cb.read_plate(path).measurement
+def test_a_peak_that_stands_out_and_is_taken_for_no_mode_is_named(of_peaks) -> None:
+    measurement = cb.read_plate(of_peaks("hz,sd,height\n114,1,30\n218,2,30\n300,3,0.6\n")).measurement
 
     def named(*mode: int) -> list[tuple[float, ...]]:
         pairing = Pairing(np.array(mode), np.array([], dtype=int), 0.0)
@@ -150,22 +159,17 @@ def test_an_unpaired_peak_of_double_hits_is_said_to_be_of_the_second_hit(plate: 
 
 
 @pytest.mark.parametrize("damping", [("0.002", "0.003", "0.01"), ("0", "0.003", "0")])
-def test_measured_damping_reaches_the_causes(tmp_path: Path, damping: tuple[str, ...]) -> None:
+def test_measured_damping_reaches_the_causes(of_peaks, damping: tuple[str, ...]) -> None:
     one, two, three = damping
-    rows = f"hz,sd,height,damping\n114,1,3,{one}\n166,1,3,{two}\n218,2,3,{three}\n"
-    (tmp_path / "peaks.csv").write_text(rows, encoding="utf-8")
-    path = tmp_path / "plate.toml"
-    path.write_text(f'{PLATE}[measurement]\npeaks = "peaks.csv"\n', encoding="utf-8")
+    path = of_peaks(f"hz,sd,height,damping\n114,1,3,{one}\n166,1,3,{two}\n218,2,3,{three}\n")
     converged, _ = plate_under_test(cb.read_plate(path), 3)
     assert converged.facts.loss_factor == pytest.approx(0.006)
 
 
-def test_a_candidate_that_is_left_out_takes_what_belongs_to_it_along(tmp_path: Path) -> None:
-    (tmp_path / "peaks.csv").write_text("hz,sd,height\n114,1,3\n218,2,0.6\n300,3,9\n", encoding="utf-8")
-    path = tmp_path / "plate.toml"
-    path.write_text(f'{PLATE}[measurement]\npeaks = "peaks.csv"\n', encoding="utf-8")
-    every = cb.read_plate(path).measurement
-    path.write_text(f'{PLATE}[measurement]\npeaks = "peaks.csv"\nleft_out = [2]\n', encoding="utf-8")
+def test_a_candidate_that_is_left_out_takes_what_belongs_to_it_along(of_peaks) -> None:
+    peaks = "hz,sd,height\n114,1,3\n218,2,0.6\n300,3,9\n"
+    every = cb.read_plate(of_peaks(peaks)).measurement
+    path = of_peaks(peaks, "left_out = [2]\n")
     left = cb.read_plate(path).measurement
     np.testing.assert_array_equal(left.frequencies, [114.0, 300.0])
     np.testing.assert_array_equal(left.mode_probability, every.mode_probability[[0, 2]])
@@ -215,10 +219,7 @@ def test_what_cannot_be_read_is_one_clear_error(tmp_path: Path, measured: str, s
         cb.read_plate(path)
 
 
-def test_heads_of_peaks_may_be_named_and_their_order_is_free(tmp_path: Path) -> None:
+def test_heads_of_peaks_may_be_named_and_their_order_is_free(of_peaks) -> None:
     peaks = "f0;h\n115,673;10\n165,530;20\n99,570;20\n"  # not in order, three decimals
-    (tmp_path / "peaks.csv").write_text(peaks, encoding="utf-8")
-    path = tmp_path / "plate.toml"
-    named = '[measurement.columns]\nhz = "f0"\nheight = "h"\n'
-    path.write_text(f'{PLATE}[measurement]\npeaks = "peaks.csv"\n{named}', encoding="utf-8")
+    path = of_peaks(peaks, '[measurement.columns]\nhz = "f0"\nheight = "h"\n')
     np.testing.assert_allclose(cb.read_plate(path).measurement.frequencies, [99.57, 115.673, 165.53])

@@ -11,6 +11,7 @@ from cpam_bayes.plate.stored_posterior import read_posterior
 from cpam_bayes.questions import report as combined
 from cpam_bayes.questions.identify import answered
 from cpam_bayes.questions.sequence import stacking_result
+from tests.answers import answered as computed
 from tests.stacking.cases import TRUE, answer, mixture, specimen
 
 MAX_BYTES = 5_000_000
@@ -36,8 +37,9 @@ def test_a_quick_report_is_one_page_with_the_files_of_its_parts(run, plate_file,
     assert constants == tuple(name.removesuffix("_GPa") for name in document["identification"]["constants"])
 
 
-def test_the_answer_is_the_diagnosis_and_the_frequencies_alone_are_folded(plate_file, few_causes):
-    result = cb.report(plate_file(), quick=True)
+@pytest.mark.slow
+def test_the_answer_is_the_diagnosis_and_the_frequencies_alone_are_folded():
+    result = computed("report")
     report, diagnosis = result.report(), result.diagnosis.report()
     alone = result.identification.report()
     assert report.summary.headline == diagnosis.summary.headline
