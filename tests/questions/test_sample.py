@@ -132,21 +132,11 @@ print(json.dumps([ours, mean, r_hat, chains, psens, dims, modes, attrs, unit]))
 """
 
 
-def opened_plainly(result: SampledResult, directory: Path) -> list:
-    """What arviz alone, in a process of its own, reads from the file."""
-    replace(result, seed=7).to_arviz().to_netcdf(directory / "posterior.nc")
-    done = subprocess.run(
-        [sys.executable, "-c", _PLAIN, str(directory / "posterior.nc")],
-        check=True,
-        capture_output=True,
-        text=True,
-        cwd=directory,
-    )
-    return json.loads(done.stdout)
-
-
 def test_the_file_opens_in_arviz_without_this_package(sampled: SampledResult, tmp_path: Path) -> None:
-    ours, mean, r_hat, chains, psens, dims, modes, attrs, unit = opened_plainly(sampled, tmp_path)
+    replace(sampled, seed=7).to_arviz().to_netcdf(tmp_path / "posterior.nc")
+    alone = [sys.executable, "-c", _PLAIN, "posterior.nc"]
+    said = json.loads(subprocess.check_output(alone, cwd=tmp_path))
+    ours, mean, r_hat, chains, psens, dims, modes, attrs, unit = said
     assert ours == []
     for c in sampled.constants.values():
         name, factor = {"E1": ("E1_GPa", 1e-9), "nu12": ("nu12", 1.0)}[c.name]
@@ -224,13 +214,13 @@ def test_the_hash_in_the_file_is_of_the_problem_and_not_of_the_chain(sampled: Sa
 
 @pytest.mark.slow
 def test_a_list_that_may_lack_modes_has_one_likelihood_and_no_pareto_diagnostics(
-    gappy: SampledResult, tmp_path: Path
+    gappy: SampledResult,
 ) -> None:
     assert gappy.assessment.importance is None
-    *_, dims, modes, attrs, _ = opened_plainly(gappy, tmp_path)
-    assert dims["log_likelihood"] == {"list": ["chain", "draw"]}
-    assert [m.split()[0] for m in modes] == ["1", "2", "4", "5", "6"]
-    assert attrs["list_is_complete"] == "0"
+    data = gappy.to_arviz()
+    assert {name: v.dims for name, v in data["log_likelihood"].items()} == {"list": ("chain", "draw")}
+    assert [m.split()[0] for m in data.observed_data["mode"].values] == ["1", "2", "4", "5", "6"]
+    assert (data.attrs | data.posterior.attrs)["list_is_complete"] == 0
     document = gappy.to_dict()
     assert document["leave_one_out"]["psis"] is None
     assert len(gappy.assessment.left_out.residual) == 5

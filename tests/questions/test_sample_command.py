@@ -124,7 +124,7 @@ def test_a_store_of_another_problem_is_refused_and_a_damaged_round_is_sampled_ag
     run: Run, plate_file: Write, tmp_path: Path
 ) -> None:
     store = tmp_path / "store"
-    command = ("identify", plate_file(), *EMCEE, "--store", str(store))
+    command = ("identify", plate_file(), *EMCEE[:-1], "40", "--store", str(store))
     answer = json.loads(run(*command, "--json")[1])
     first = store / "round_0000.arrays"
     whole = first.read_bytes()
@@ -150,9 +150,8 @@ def test_a_full_disk_costs_the_store_and_not_the_answer(
         return replace(self, target)
 
     monkeypatch.setattr(Path, "replace", full)
-    status, out, err = run(
-        "identify", plate_file(), *EMCEE, "--json", "--store", str(tmp_path / "store"), "--noise", "gaussian"
-    )
+    stored = ("--steps", "40", "--json", "--store", tmp_path / "store", "--noise", "gaussian")
+    status, out, err = run("identify", plate_file(), *EMCEE, *stored)
     assert status == 1
     document = json.loads(out)
     assert document["constants"]["E1_GPa"]["mean"] == pytest.approx(68.0, abs=3.0)
