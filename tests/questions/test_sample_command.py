@@ -127,15 +127,13 @@ def test_a_store_of_another_problem_is_refused_and_a_damaged_round_is_sampled_ag
     command = ("identify", plate_file(), *EMCEE[:-1], "40", "--store", str(store))
     answer = json.loads(run(*command, "--json")[1])
     first = store / "round_0000.arrays"
-    whole = first.read_bytes()
     status, out, err = run(*command, "--noise", "student-t")
     assert (status, out) == (2, "")
     assert "holds another problem" in err
-    for content in (b"no round at all", whole[:700]):
-        first.write_bytes(content)
-        status, out, err = run(*command, "--json")
-        assert json.loads(out)["constants"] == answer["constants"]
-        assert f"warning: {first} was damaged: it is set aside as round_0000.arrays.damaged" in err
+    first.write_bytes(first.read_bytes()[:700])
+    status, out, err = run(*command, "--json")
+    assert json.loads(out)["constants"] == answer["constants"]
+    assert f"warning: {first} was damaged: it is set aside as round_0000.arrays.damaged" in err
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from cpam_bayes.questions import sensitivity
 from cpam_bayes.questions.sensitivity import SensitivityResult
 from cpam_bayes.render.noise_study import ComparedRow, beside_paper, difference_sentences
 from cpam_bayes.render.report import json_text
-from tests.answers import answered
+from tests.answers import CHAINS, answered
 from tests.plate_file import MEASURED
 
 # Means of two inversions, E1 in Pa and nu12: 71 GPa with an sd of 1.4142, 0.30 with 0.02828.
@@ -284,20 +284,26 @@ FEW = ("--groups", "3", "--executor", "serial", "--quiet")
 
 
 @pytest.fixture
-def short(monkeypatch):
-    """Swarms and chains that end long before they converge."""
+def hurried(monkeypatch):
+    """Give the study smaller chains or swarms."""
     full = sensitivity.noise_study
 
-    def hurried(*args, **kwargs):
-        chains = EnsembleSettings(walkers=12, round_steps=40, most_steps=40)
-        swarm = SwarmSettings(particles=10, iterations=30)
-        return full(*args, **{**kwargs, "chains": chains, "swarm_settings": swarm})
+    def with_settings(**smaller):
+        monkeypatch.setattr(sensitivity, "noise_study", lambda *args, **kw: full(*args, **kw | smaller))
 
-    monkeypatch.setattr(sensitivity, "noise_study", hurried)
+    return with_settings
+
+
+@pytest.fixture
+def short(hurried):
+    """Swarms and chains that end long before they converge."""
+    chains = EnsembleSettings(walkers=12, round_steps=40, most_steps=40)
+    hurried(chains=chains, swarm_settings=SwarmSettings(particles=10, iterations=30))
 
 
 @pytest.mark.slow
-def test_a_plate_without_a_measurement_gets_the_answer_of_the_contract(run, plate_file, tmp_path):
+def test_a_plate_without_a_measurement_gets_the_answer_of_the_contract(run, plate_file, tmp_path, hurried):
+    hurried(chains=replace(CHAINS, effective=200.0, most_steps=1500))
     out_dir = tmp_path / "out"
     asked = ("--levels", "1", "--modes", "6", "--json", "--out", out_dir)
     status, out, err = run("sensitivity", plate_file((MEASURED, "")), *asked, *FEW)
