@@ -121,6 +121,9 @@ def test_identify_as_json_has_the_keys_of_the_contract(run):
         assert row["kind"] == "bending"
         ratio = row["predicted_hz"] / row["measured_hz"]
         assert row["residual_percent"] == pytest.approx(100 * (ratio - 1), abs=1e-9)
+    assert {"D11", "D26", "Ex_GPa"} <= set(document["laminate"])
+    assert document["forward_solves"] > 0
+    assert document["seconds"] > 0
     assert document["relative_error_estimate"] < 1e-3
     assert (document["status"], document["seed"]) == ("budget", 0)
     assert "budget" in document["message"]
@@ -330,14 +333,15 @@ def test_forward_writes_the_mode_shapes(run, tmp_path):
     assert list(tmp_path.glob(".*")) == []
 
 
-def test_a_file_in_the_place_of_the_directory_is_refused_before_the_work(run, tmp_path, monkeypatch):
+@pytest.mark.parametrize("below", ["", "deeper"])
+def test_a_file_in_the_place_of_the_directory_is_refused_before_the_work(run, tmp_path, below, monkeypatch):
     def never(*args, **kwargs):
         raise AssertionError("the work has begun")
 
     monkeypatch.setattr("cpam_bayes.questions.forward.converged_model", never)
     taken = tmp_path / "taken"
     taken.write_text("mine")
-    refused(run("forward", "A1", "--out", str(taken / "deeper")), "--out", "taken")
+    refused(run("forward", "A1", "--out", str(taken / below)), "--out", "taken")
     assert taken.read_text() == "mine"
 
 
