@@ -20,7 +20,9 @@ LISTS = FROZEN["list"]
 
 def rows_of(listed: dict[str, Any]) -> list[tuple[str, str, list[float]]]:
     """Causes, variant and the numbers of every hypothesis."""
-    written = [[cell.strip() for cell in line.split("|")] for line in listed["evidences"].strip().splitlines()]
+    written = [
+        [cell.strip() for cell in line.split("|")] for line in listed["evidences"].strip().splitlines()
+    ]
     named = {tuple(cells[:2]) for cells in written}
     rows = []
     for causes, variant, *numbers in written:

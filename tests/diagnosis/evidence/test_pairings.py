@@ -21,7 +21,6 @@ from tests.diagnosis.toy_plates import (
     F0,
     NOISE,
     NOTHING,
-    SCATTER,
     SD,
     A,
     Array,
@@ -30,6 +29,7 @@ from tests.diagnosis.toy_plates import (
     cause,
     hypothesis,
     log_normal_density,
+    measured,
     misread,
     straight,
     whole_normal,
@@ -41,10 +41,11 @@ SINGLES = tuple(hypothesis(effect, 0.1) for effect in (BENT, DENTED))
 MISSED, FALSE = 0.1, 0.1
 
 
-def measured(shift: Array, lacks: tuple[int, ...] = (3,), false: tuple[float, ...] = (555.0,)) -> Array:
+def gappy(
+    shift: Array | float = 0.0, lacks: tuple[int, ...] = (3,), false: tuple[float, ...] = (555.0,)
+) -> Array:
     """A list without some modes and with false peaks, Hz."""
-    f = F0 * np.exp(A @ [0.03, -0.04] + shift) * (1.0 + NOISE * SCATTER)
-    return np.sort(np.append(np.delete(f, lacks), false))
+    return np.sort(np.append(np.delete(measured(shift), lacks), false))
 
 
 def plate(f: Array, labels: dict[int, int] | None = None, name: str = "toy") -> PlateCase:
@@ -116,17 +117,17 @@ TOLERANCE = 0.1
 @pytest.mark.parametrize(
     ("shift", "lacks", "false"),
     [
-        (0.0 * BUMP, (3,), (555.0,)),
+        (0.0, (3,), (555.0,)),
         (0.01 * BUMP, (3,), (555.0,)),
         (0.02 * BUMP, (1,), ()),
         # the false peak lies above the highest mode of the list
-        (0.0 * BUMP, (7,), (660.0,)),
+        (0.0, (7,), (660.0,)),
     ],
 )
 def test_an_evidence_is_the_sum_over_all_pairings(
-    shift: Array, lacks: tuple[int, ...], false: tuple[float, ...]
+    shift: Array | float, lacks: tuple[int, ...], false: tuple[float, ...]
 ) -> None:
-    f = measured(shift, lacks, false)
+    f = gappy(shift, lacks, false)
     found = weigh([plate(f)], of_one(NOTHING, *SINGLES), sets=False)
     for name in (NONE, "bent", "dented"):
         assert evidence(found, name) == pytest.approx(exact(f, name), abs=TOLERANCE)
@@ -139,7 +140,7 @@ def test_an_evidence_is_the_sum_over_all_pairings(
 
 
 def test_the_cause_is_found_though_the_plain_model_pairs_the_list_otherwise() -> None:
-    f = measured(0.06 * BUMP, (4,), ())
+    f = gappy(0.06 * BUMP, (4,), ())
     found = weigh([plate(f)], of_one(NOTHING, *SINGLES), sets=False)
     truth = np.delete(np.arange(8), 4)
     assert not np.array_equal(found.none.cases[0].modes, truth)
@@ -152,7 +153,7 @@ def test_the_cause_is_found_though_the_plain_model_pairs_the_list_otherwise() ->
 
 def test_a_labelled_frequency_keeps_its_mode_and_the_others_are_summed_over() -> None:
     # without the label the fourth frequency is more probably the fourth mode
-    f = measured(0.0 * BUMP, (3,), (555.0,))
+    f = gappy()
     labels = {3: 4, 7: 7}
     found = weigh([plate(f, labels)], of_one(NOTHING, *SINGLES), sets=False)
     for t in found.tested:
@@ -161,14 +162,8 @@ def test_a_labelled_frequency_keeps_its_mode_and_the_others_are_summed_over() ->
         assert evidence(found, name) == pytest.approx(exact(f, name, labels), abs=TOLERANCE)
 
 
-def test_a_wrong_label_is_believed() -> None:
-    f = measured(0.0 * BUMP, (3,), ())
-    found = weigh([plate(f, {0: 1})], of_one(NOTHING), sets=False)
-    assert {int(t.cases[0].modes[0]) for t in found.tested} == {1}
-
-
 def test_a_misread_frequency_of_an_incomplete_list_is_found() -> None:
-    f = measured(0.0 * BUMP, (5,), ())
+    f = gappy(0.0, (5,), ())
     f[2] *= 1.06
     errors = [misread(i, 0.02) for i in range(len(f))]
     found = weigh([plate(f)], of_one(NOTHING, *SINGLES, *errors), sets=False)
@@ -184,7 +179,7 @@ def test_a_complete_list_beside_an_incomplete_one_keeps_its_pairing() -> None:
         name="whole",
         specimen="toy",
     )
-    gaps = plate(measured(0.0 * BUMP, (2,), ()))
+    gaps = plate(gappy(0.0, (2,), ()))
     every = [(h, (0, 1)) for h in (NOTHING, *SINGLES)]
     found = weigh([whole, gaps], every, sets=False)
     assert found.tested[0].hypothesis.cause == NONE
@@ -194,7 +189,7 @@ def test_a_complete_list_beside_an_incomplete_one_keeps_its_pairing() -> None:
 
 
 def test_the_answer_shows_false_peaks_and_missed_modes_of_each_fit() -> None:
-    f = measured(0.03 * BUMP, (3,), (555.0,))
+    f = gappy(0.03 * BUMP)
     d = diagnose_cases([plate(f)], hypotheses=of_one(NOTHING, ANYTHING, *SINGLES), sets=False)
     assert d.claim.causes == ("bent",)
     assert d.extended is not None
@@ -208,14 +203,14 @@ def test_the_answer_shows_false_peaks_and_missed_modes_of_each_fit() -> None:
 
 
 def test_the_prior_of_a_pairing_counts_paired_missed_and_false() -> None:
-    own = plate(measured(0.0 * BUMP, (3,), (555.0,)))
+    own = plate(gappy())
     paired = with_pairing(own, np.array([0, 1, 2, 4, 5, -1, 6, -1]), missed_above=1)
     expected = 6 * np.log(0.9) + 2 * np.log(0.1) + 2 * np.log(0.1 / own.measurement.frequencies[-1])
     assert paired.log_pairing == pytest.approx(expected, rel=1e-12)
 
 
 def test_neighbouring_pairings_keep_order_and_labels() -> None:
-    own = plate(measured(0.0 * BUMP, (3,), (555.0,)), {2: 3})
+    own = plate(gappy(), {2: 3})
     at = with_pairing(own, np.array([0, 1, 3, 2, -1, 5, 6, 7]))
     found = neighbours(at)
     for modes in found:
