@@ -78,9 +78,12 @@ def test_thick_layers_have_the_frequencies_of_navier(layers: list[tuple[float, f
     assert_allclose(lowest(plate, 5), closed[:5], rtol=1e-5)
 
 
+# Of two halves that weigh differently.
+HALVES = of_layers([(3.0, isotropic(70.0, 500.0)), (3.0, isotropic(40.0, 5000.0))], (200.0, 150.0))
+
+
 def test_elements_agree_where_the_halves_weigh_differently() -> None:
-    plate = of_layers([(3.0, isotropic(70.0, 500.0)), (3.0, isotropic(40.0, 5000.0))], (200.0, 150.0))
-    ritz, fem = (cb.forward(plate, n_modes=6, solver=s) for s in ("ritz", "fem"))  # type: ignore[arg-type]
+    ritz, fem = (cb.forward(HALVES, n_modes=6, solver=s) for s in ("ritz", "fem"))  # type: ignore[arg-type]
     assert_allclose(fem.frequencies, ritz.frequencies, rtol=3e-4)
 
 
@@ -100,22 +103,20 @@ def test_a_deck_has_a_card_for_each_material(tmp_path: Any) -> None:
 
 
 @pytest.mark.needs_ccx
-@pytest.mark.slow
-def test_bricks_agree() -> None:
-    specimen = cb.read_plate(HYBRID)
-    ritz = cb.forward(specimen, n_modes=6).frequencies
-    bricks = solve_modes(specimen, reference_constants(specimen), 6, in_plane=200).frequencies
-    # free-edge layers of plies turned against each other are not in the theory (docs/theory.md)
-    assert_allclose(ritz, bricks, rtol=2e-3)
-
-
-@pytest.mark.needs_ccx
-def test_bricks_agree_where_the_halves_weigh_differently() -> None:
-    plate = of_layers([(3.0, isotropic(70.0, 500.0)), (3.0, isotropic(40.0, 5000.0))], (200.0, 150.0))
+@pytest.mark.parametrize(
+    ("plate", "n_modes", "in_plane", "tolerance"),
+    [
+        # free-edge layers of plies turned against each other are not in the theory (docs/theory.md)
+        pytest.param(HYBRID, 6, 200, 2e-3, marks=[pytest.mark.slow, pytest.mark.weekly]),
+        (HALVES, 4, 110, 1e-3),
+    ],
+    ids=["hybrid", "halves"],
+)
+def test_bricks_agree(plate: dict[str, Any], n_modes: int, in_plane: int, tolerance: float) -> None:
     specimen = cb.read_plate(plate)
-    ritz = cb.forward(specimen, n_modes=4).frequencies
-    bricks = solve_modes(specimen, reference_constants(specimen), 4, in_plane=110).frequencies
-    assert_allclose(ritz, bricks, rtol=1e-3)
+    ritz = cb.forward(specimen, n_modes=n_modes).frequencies
+    bricks = solve_modes(specimen, reference_constants(specimen), n_modes, in_plane=in_plane).frequencies
+    assert_allclose(ritz, bricks, rtol=tolerance)
 
 
 def test_a_model_is_of_one_hybrid() -> None:
@@ -139,9 +140,7 @@ def test_a_laminate_without_a_core_is_none() -> None:
     assert_allclose(sandwich_error(cb.read_plate("D1"), [1000.0, 10_000.0]), 0.0)
 
 
-def test_the_error_of_a_sandwich_vanishes_with_the_frequency_and_grows_with_the_softness_of_the_core() -> (
-    None
-):
+def test_the_error_of_a_sandwich_grows_from_nothing_with_frequency_and_softness_of_the_core() -> None:
     f = np.array([1.0, 100.0, 1000.0])
     soft, stiff = (sandwich_error(cb.read_plate(sandwich(1.0, g)), f) for g in (0.02, 0.1))
     assert soft[0] < 1e-6
@@ -172,9 +171,8 @@ def test_a_core_that_is_too_soft_is_warned_of() -> None:
 
 
 @pytest.mark.needs_ccx
-@pytest.mark.parametrize(("face_mm", "core_GPa"), [(1.0, 0.1), (1.0, 0.02), (2.0, 0.1)])
-def test_the_error_of_a_sandwich_is_that_against_bricks(face_mm: float, core_GPa: float) -> None:
-    specimen = cb.read_plate(sandwich(face_mm, core_GPa))
+def test_the_error_of_a_sandwich_is_that_against_bricks() -> None:
+    specimen = cb.read_plate(sandwich(1.0, 0.02))
     ritz = cb.forward(specimen, n_modes=4).frequencies
     bricks = solve_modes(specimen, reference_constants(specimen), 4, in_plane=60).frequencies
     rule = sandwich_error(specimen, ritz)
@@ -186,10 +184,8 @@ def test_the_saved_study_of_sandwiches_is_that_of_the_rule_as_it_is() -> None:
     path = Path(__file__).parents[2] / "studies" / "results" / "22_sandwiches.json"
     cases = json.loads(path.read_text("utf-8"))["cases"]
     ratios = []
-    for case in cases:
+    for case in (c for c in cases if c["thickness_mm"] == 10.0):
         plate = sandwich(case["face"] * 10.0, 70.0 / case["ratio"], case["edges"])
-        if case["thickness_mm"] != 10.0:
-            continue
         ritz = [mode["ritz_hz"] for mode in case["modes"]]
         expected = 100.0 * sandwich_error(cb.read_plate(plate), ritz)
         assert_allclose(expected, [mode["expected_percent"] for mode in case["modes"]], rtol=1e-6, atol=1e-9)

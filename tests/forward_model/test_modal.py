@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cpam_bayes.effects import PlateFacts, add_known_mass, extend, variants
 from cpam_bayes.forward_model.local.modal import changed_on_modes, on_modes
-from cpam_bayes.forward_model.model import PlateModel, converged_model, model_on_basis
+from cpam_bayes.forward_model.model import PlateModel, converged_model, model_on_basis, reference_vector
 from cpam_bayes.plate.reader import builtin
 from cpam_bayes.plate.records import Sensor, Specimen
 from tests.effects.cases import BY_NAME
@@ -23,16 +23,17 @@ def plate(name: str) -> tuple[Specimen, PlateModel, Array]:
     """A plate, its full model and twenty parameter vectors within 3 % of its reference constants."""
     specimen = builtin(name)
     full = converged_model(specimen, specimen.unknowns, N_MODES)
-    middle = np.array([float(specimen.material.complete()[n]) for n in full.parameters.names])
-    return (
-        specimen,
-        full,
-        middle * (1.0 + 0.03 * np.random.default_rng(0).uniform(-1.0, 1.0, (20, len(middle)))),
-    )
+    middle = reference_vector(specimen, full.parameters)
+    about = np.random.default_rng(0).uniform(0.97, 1.03, (20, len(middle)))
+    return specimen, full, middle * about
+
+
+def facts_of(specimen: Specimen) -> PlateFacts:
+    isotropic = specimen.material.isotropic
+    return PlateFacts.of(specimen.plate, isotropic, loaded=False, air_is_known=True, has_references=True)
 
 
 def with_terms(full: PlateModel, problem: Any, samples: Array) -> PlateModel:
-    assert full.basis is not None
     return model_on_basis(problem, samples, N_MODES, full.error, full.basis)
 
 
@@ -64,16 +65,12 @@ def test_a_known_mass_is_added_to_the_modes_of_the_plate_without_it(name: str, s
 def test_a_change_anywhere_moves_the_modes_as_it_moves_the_full_plate(effect: str, size: float) -> None:
     specimen, full, x = plate("C1")
     of = specimen.plate
-    facts = PlateFacts.of(
-        of, specimen.material.isotropic, loaded=False, air_is_known=True, has_references=True
-    )
+    facts = facts_of(specimen)
     anywhere = variants(BY_NAME[effect], facts)[0]
     if effect == "sensor_mass":
         size *= of.density * of.thickness * of.area
-    place = {p.name: float(p.prior.mean) for p in anywhere.coordinates} | {
-        anywhere.coordinates[0].name: 0.31,
-        anywhere.coordinates[1].name: 0.22,
-    }
+    along, across, *_ = (p.name for p in anywhere.coordinates)
+    place = {p.name: float(p.prior.mean) for p in anywhere.coordinates} | {along: 0.31, across: 0.22}
     fixed = anywhere.fixed(place)
     added = np.array([place.get(p.name, size) for p in anywhere.parameters])
     problem = extend(full.operator.problem, fixed, facts)
@@ -90,10 +87,7 @@ def test_a_change_anywhere_moves_the_modes_as_it_moves_the_full_plate(effect: st
 
 def test_an_effect_without_a_place_and_derivatives_are_refused() -> None:
     specimen, full, x = plate("C1")
-    facts = PlateFacts.of(
-        specimen.plate, specimen.material.isotropic, loaded=False, air_is_known=True, has_references=True
-    )
-    mass = changed_on_modes(on_modes(full, x[0]), variants(BY_NAME["sensor_mass"], facts)[0])
+    mass = changed_on_modes(on_modes(full, x[0]), variants(BY_NAME["sensor_mass"], facts_of(specimen))[0])
     with pytest.raises(ValueError, match="no derivatives"):
         mass.predict(np.column_stack((x, np.tile([0.01, 0.5, 0.5, 0.01], (len(x), 1)))), jacobian=True)
     with pytest.raises(ValueError, match="not given in `local`"):

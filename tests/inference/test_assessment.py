@@ -20,9 +20,10 @@ from cpam_bayes.inference.assessment import (
 )
 from cpam_bayes.inference.pairing import Pairing
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
-from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Uniform
+from cpam_bayes.parameters import TruncatedNormal, Uniform
 from cpam_bayes.plate import Material, Measurement
 from tests.linear_model import MEAN_HZ, SLOPE_HZ, LinearModel, exact_gaussian, measurement
+from tests.toy_models import parameters
 
 X = np.array([0.4, -0.3])
 PRIOR_SD = 4.0 / np.sqrt(12.0)
@@ -119,12 +120,10 @@ def test_diagnoses_follow_the_published_threshold(
 
 
 def test_moving_a_bound_of_an_even_posterior_moves_its_mean_by_half_as_much() -> None:
-    parameters = ParameterSet(
-        (Parameter("a", "", Uniform(0.0, 1.0)), Parameter("b", "", TruncatedNormal(0.0, 1.0, -5.0, 5.0)))
-    )
+    own = parameters(a=Uniform(0.0, 1.0), b=TruncatedNormal(0.0, 1.0, -5.0, 5.0))
     rng = np.random.default_rng(3)
     draws = np.column_stack((rng.uniform(0.0, 1.0, N), rng.standard_normal(N)))
-    lower, upper = moved_bounds(parameters, draws)  # b's prior is no interval
+    lower, upper = moved_bounds(own, draws)  # b's prior is no interval
     # a tenth cut off one side: the mean moves by 0.05 of sd 12^-1/2; known to 20000^-1/2 sd
     for moved, sign in ((lower, 1.0), (upper, -1.0)):
         assert moved.name == "a"
@@ -132,7 +131,7 @@ def test_moving_a_bound_of_an_even_posterior_moves_its_mean_by_half_as_much() ->
         assert moved.shift[0] == pytest.approx(sign * 0.05 * np.sqrt(12.0), abs=0.03)
         assert moved.shift[1] == pytest.approx(0.0, abs=0.03)
     # past all draws it says nothing
-    lower, upper = moved_bounds(parameters, draws * [0.05, 1.0])
+    lower, upper = moved_bounds(own, draws * [0.05, 1.0])
     assert lower.cut == 1.0
     assert np.isnan(lower.shift[0])
     assert upper.shift[0] == 0.0
@@ -157,11 +156,8 @@ def test_a_constraint_cuts_where_a_part_of_the_density_would_lie_beyond(beyond: 
     assert bool(found) == cuts
 
 
-def test_wide_margins_are_no_cut() -> None:
-    # E1 / E2 - 1 of wide priors has an sd as large as its mean, and no draw near 0
-    ratio = np.random.default_rng(1).lognormal(2.5, 0.7, size=N_DRAWS) + 2.0
-    draws = {"E1": 9.3e9 * ratio}
-    assert cut_notices(Material("transversely_isotropic", CARBON, {}, None), draws) == ()
+# E1 / E2 - 1 of wide priors has an sd as large as its mean, and no draw near 0.
+WIDE_RATIO = np.random.default_rng(1).lognormal(2.5, 0.7, size=N_DRAWS) + 2.0
 
 
 @pytest.mark.parametrize(
@@ -173,6 +169,9 @@ def test_wide_margins_are_no_cut() -> None:
         ("orthotropic", {"E1": 9.3e9 + 1e9 * cut_normal(0.3)}, None),
         ("orthotropic", {"nu12": (121 / 9.3) ** 0.5 - 0.1 * cut_normal(0.3)}, "|nu12| < sqrt(E1/E2)"),
         ("isotropic", {"nu12": 0.5 - 0.02 * cut_normal(0.3)}, "-1 < nu12 < 0.5"),
+        ("transversely_isotropic", {"E1": 9.3e9 * WIDE_RATIO}, None),
+        ("transversely_isotropic", {"G12": 6e9 + 1e8 * cut_normal(0.5)}, None),
+        ("orthotropic", {"G12": 6e9 + 1e8 * cut_normal(0.5)}, None),
     ],
 )
 def test_the_constraint_that_cuts_is_named(symmetry, draws, said) -> None:
@@ -183,26 +182,23 @@ def test_the_constraint_that_cuts_is_named(symmetry, draws, said) -> None:
 
 
 @pytest.mark.parametrize(
-    ("nu12", "limits"), [(0.4999, True), (0.4, False), (0.2, False)], ids=["on it", "off it", "on a bound"]
+    ("symmetry", "optimum", "limits"),
+    [
+        ("transversely_isotropic", {"E1": 121e9, "nu12": 0.4999}, True),
+        ("transversely_isotropic", {"E1": 121e9, "nu12": 0.4}, False),
+        ("transversely_isotropic", {"E1": 121e9, "nu12": 0.2}, False),
+        ("transversely_isotropic", {"G12": 6e9}, False),
+        ("orthotropic", {"G12": 6e9}, False),
+    ],
+    ids=["on it", "off it", "on a bound", "shear", "orthotropic shear"],
 )
-def test_an_optimum_on_a_constraint_is_found(nu12: float, limits: bool) -> None:
-    unknowns = ParameterSet(
-        (
-            Parameter("E1", "Pa", Uniform(50e9, 200e9)),
-            Parameter("nu12", "", Uniform(0.2, 0.6)),
-        )
+def test_an_optimum_on_a_constraint_is_found(symmetry, optimum, limits) -> None:
+    bounds = {"E1": Uniform(50e9, 200e9), "nu12": Uniform(0.2, 0.6), "G12": Uniform(1e9, 9e9)}
+    unknowns = parameters(**{name: bounds[name] for name in optimum})
+    found = limiting_constraints(
+        Material(symmetry, CARBON, {}, None), unknowns, np.array(list(optimum.values()))
     )
-    material = Material("transversely_isotropic", CARBON, {}, None)
-    found = limiting_constraints(material, unknowns, np.array([121e9, nu12]))
     assert bool(found) == limits
-
-
-@pytest.mark.parametrize("symmetry", ["transversely_isotropic", "orthotropic"])
-def test_a_shear_modulus_alone_is_cut_by_nothing(symmetry) -> None:
-    material = Material(symmetry, CARBON, {}, None)
-    unknowns = ParameterSet((Parameter("G12", "Pa", Uniform(1e9, 9e9)),))
-    assert limiting_constraints(material, unknowns, np.array([6e9])) == ()
-    assert cut_notices(material, {"G12": 6e9 + 1e8 * cut_normal(0.5)}) == ()
 
 
 def refitted(relative_std: float) -> tuple[np.ndarray, np.ndarray]:

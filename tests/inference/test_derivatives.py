@@ -19,7 +19,7 @@ from cpam_bayes.inference.derivatives import (
     log_density,
 )
 from cpam_bayes.inference.posterior import NOISE_PRIOR, Posterior, plate_posterior
-from cpam_bayes.parameters import Parameter, ParameterSet, ScaledStudentT, TruncatedNormal, Uniform
+from cpam_bayes.parameters import ScaledStudentT, TruncatedNormal, Uniform
 from cpam_bayes.plate import Measurement
 from cpam_bayes.priors import Prior
 from tests.linear_model import MEAN_HZ, SLOPE_HZ, LinearModel, measurement
@@ -83,9 +83,8 @@ def test_gradient_is_the_limit_of_differences(case: str) -> None:
     own = some_posterior(case)
     x = vectors(own)
     e = expand(own, x)
-    value, gradient = e.value, e.gradient
-    np.testing.assert_allclose(value, own.log_prob(x), rtol=1e-12)
-    gradient = gradient * coordinates(own).slope(x)
+    np.testing.assert_allclose(e.value, own.log_prob(x), rtol=1e-12)
+    gradient = e.gradient * coordinates(own).slope(x)
     coarse, fine = (differences(own, x, h) for h in (2e-4, 1e-4))
     extrapolated = (4.0 * fine - coarse) / 3.0
     size = np.abs(gradient).max(axis=1, keepdims=True)
@@ -111,11 +110,10 @@ def test_outside_the_support_the_gradient_is_zero_and_the_model_is_not_asked() -
     own = some_posterior("uniform")
     x = np.array([[9.0, 0.0, 0.01], [0.1, 0.0, 0.01]])
     e = expand(own, x)
-    value, gradient = e.value, e.gradient
-    assert value[0] == -np.inf
-    np.testing.assert_array_equal(gradient[0], 0.0)
-    assert np.isfinite(value[1])
-    assert np.any(gradient[1] != 0.0)
+    assert e.value[0] == -np.inf
+    np.testing.assert_array_equal(e.gradient[0], 0.0)
+    assert np.isfinite(e.value[1])
+    assert np.any(e.gradient[1] != 0.0)
 
 
 def test_curvature_is_the_expected_one_for_student_t_noise() -> None:
@@ -192,7 +190,7 @@ EVERY_PRIOR: dict[str, Prior] = {
 
 
 def of(*priors: Prior) -> NormalScores:
-    return NormalScores(ParameterSet(tuple(Parameter(f"p{i}", "", p) for i, p in enumerate(priors))))
+    return NormalScores(parameters(**{f"p{i}": prior for i, prior in enumerate(priors)}))
 
 
 @pytest.mark.parametrize("prior", EVERY_PRIOR.values(), ids=EVERY_PRIOR)
@@ -233,13 +231,7 @@ def test_parameters_on_their_bounds_have_finite_scores() -> None:
 
 
 def test_priors_are_standard_normal_over_scores() -> None:
-    scores, z = (
-        of(*EVERY_PRIOR.values()),
-        np.random.default_rng(1).standard_normal((20, len(EVERY_PRIOR))),
-    )
-    x = scores.to_x(z)
-    log_prior = scores.parameters.log_prior(x) + np.log(scores.slope(x, z)).sum(axis=1)
-    np.testing.assert_allclose(log_prior, scores.log_prior(z), atol=1e-9)
+    scores, z = of(*EVERY_PRIOR.values()), np.random.default_rng(1).standard_normal((20, len(EVERY_PRIOR)))
     np.testing.assert_allclose(scores.log_prior(z), norm.logpdf(z).sum(axis=1), rtol=1e-12)
 
 

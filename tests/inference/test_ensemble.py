@@ -28,11 +28,12 @@ from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted
 from cpam_bayes.inference.student_mixture import Mixture
 from cpam_bayes.parameters import TruncatedNormal, Uniform
 from tests.linear_model import MEAN_HZ, SLOPE_HZ, LinearModel, exact_gaussian, measurement
-from tests.toy_models import ToyModel, integral, linear, listed, parameters, two_peaks
+from tests.toy_models import integral, linear, listed, parameters, two_peaks
 
 SETTINGS = EnsembleSettings(walkers=16, round_steps=100, effective=2000.0, most_steps=6000)
+FOUR_ROUNDS = replace(SETTINGS, effective=1e9, most_steps=400)
 # Of a chain that forgets in a few steps.
-JUMPING = replace(SETTINGS, round_steps=100, effective=4000.0)
+JUMPING = replace(SETTINGS, effective=4000.0)
 ROOT = Path(__file__).parents[2]
 
 
@@ -49,7 +50,7 @@ def start(own: Posterior, settings: EnsembleSettings = SETTINGS) -> np.ndarray:
 
 
 def run(
-    store: Path | None = None, settings: EnsembleSettings = SETTINGS, proposal: Proposal | None = None
+    store: Path | None = None, settings: EnsembleSettings = FOUR_ROUNDS, proposal: Proposal | None = None
 ) -> EnsembleResult:
     own = posterior()
     return sample(own, start(own, settings), 7, settings, proposal=proposal, store=store)
@@ -61,7 +62,7 @@ def good_proposal() -> Proposal:
 
 
 def of_kind(jumps: bool) -> tuple[EnsembleSettings, Proposal | None]:
-    return (replace(JUMPING, round_steps=50), good_proposal()) if jumps else (SETTINGS, None)
+    return (replace(JUMPING, round_steps=50), good_proposal()) if jumps else (FOUR_ROUNDS, None)
 
 
 @cache
@@ -117,7 +118,7 @@ def test_chains_have_the_closed_form_however_good_a_proposal_is(name: str) -> No
         proposal = around(posterior(), mean + away * sd, width * sd)
     else:
         proposal = good_proposal() if name == "good" else None
-    found = run(settings=JUMPING, proposal=proposal) if proposal else whole()
+    found = run(settings=JUMPING if name == "good" else SETTINGS, proposal=proposal)
     check_moments(found, mean, covariance)
     assert found.diagnostics.r_hat <= 1.01
     time = found.diagnostics.autocorrelation_time
@@ -150,13 +151,11 @@ def test_chains_that_only_jump_have_the_noise_that_they_infer() -> None:
 def uneven_peaks() -> Posterior:
     """Two peaks fifty nats above the dip between them, one with seven times the mass of the other."""
     own = two_peaks()
-    assert isinstance(own.model, ToyModel)
     uneven = parameters(a=TruncatedNormal(0.5, 0.7, -2.0, 2.0), b=Uniform(-2.0, 2.0))
     return replace(own, model=replace(own.model, parameters=uneven), parameters=uneven)
 
 
-@pytest.mark.parametrize("jumps", [True, False], ids=["jumps", "local moves"])
-def test_separate_peaks_have_their_weights_though_all_walkers_start_on_the_lesser(jumps: bool) -> None:
+def test_separate_peaks_have_their_weights_though_all_walkers_start_on_the_lesser() -> None:
     own = uneven_peaks()
     b = np.linspace(-2.0, 2.0, 801)
     right, left = (integral(own, (a, b)) for a in (np.linspace(0.0, 2.0, 801), np.linspace(-2.0, 0.0, 801)))
@@ -164,15 +163,11 @@ def test_separate_peaks_have_their_weights_though_all_walkers_start_on_the_lesse
     assert 0.1 < weight < 0.15
     rng = np.random.default_rng(0)
     begun = rng.normal([-1.0, 1.3], 0.05, (JUMPING.ensembles, JUMPING.walkers, 2))
-    proposal = adapted(own, np.array([[1.0, -0.7]]), 0, AdaptationSettings(draws=500)) if jumps else None
+    proposal = adapted(own, np.array([[1.0, -0.7]]), 0, AdaptationSettings(draws=500))
     found = sample(own, begun, 7, JUMPING, proposal=proposal)
-    share = float(np.mean(found.draws[:, 0] < 0.0))
-    if jumps:
-        error = np.sqrt(weight * (1.0 - weight) / found.diagnostics.ess_bulk)
-        assert share == pytest.approx(weight, abs=4.0 * error)
-        assert found.status == "converged"
-    else:
-        assert share == 1.0, "local moves have no way over"
+    error = np.sqrt(weight * (1.0 - weight) / found.diagnostics.ess_bulk)
+    assert np.mean(found.draws[:, 0] < 0.0) == pytest.approx(weight, abs=4.0 * error)
+    assert found.status == "converged"
 
 
 def test_the_solves_of_steps_and_fit_are_counted() -> None:
@@ -221,7 +216,6 @@ def test_a_collapsed_swarm_still_gives_walkers_that_span_the_posterior() -> None
 
 def test_walkers_start_on_both_optima_of_a_swarm_with_duplicates_and_infeasible_particles() -> None:
     own = two_peaks()
-    assert isinstance(own.model, ToyModel)
     right = replace(own.model, allowed=lambda x: np.abs(x[:, 0]) > 0.5)
     own = replace(own, model=right)
     near, far = np.array([1.0, -0.7]), np.array([-1.02, 1.3])
@@ -307,7 +301,7 @@ def test_two_runs_on_one_store_at_once_have_the_chain_of_one_alone(tmp_path: Pat
         if not others:  # the other begins after the first round of this one, and overtakes it
             others.append(run(tmp_path))
 
-    found = sample(own, start(own), 7, SETTINGS, store=tmp_path, progress=another)
+    found = sample(own, start(own), 7, FOUR_ROUNDS, store=tmp_path, progress=another)
     np.testing.assert_array_equal(found.chain, whole().chain)
     np.testing.assert_array_equal(others[0].chain, whole().chain)
     assert {path.suffix for path in tmp_path.iterdir()} == {".arrays"}
@@ -317,7 +311,7 @@ def test_a_store_of_another_problem_is_refused_and_left_alone(store: Path) -> No
     before = {p.name: p.read_bytes() for p in store.iterdir()}
     own = posterior(0.02)
     with pytest.raises(StoreError, match="holds another problem"):
-        sample(own, start(own), 7, SETTINGS, store=store)
+        sample(own, start(own), 7, FOUR_ROUNDS, store=store)
     assert {p.name: p.read_bytes() for p in store.iterdir()} == before
 
 
@@ -335,13 +329,12 @@ def test_a_store_of_chains_with_other_jumps_is_refused(tmp_path: Path, other: st
         run(tmp_path, settings, proposal)
 
 
-@pytest.mark.parametrize("content", [b"", b"no round at all", None], ids=["empty", "foreign", "truncated"])
 def test_a_damaged_round_is_set_aside_named_once_and_sampled_again_bit_for_bit(
-    store: Path, content: bytes | None, caplog: pytest.LogCaptureFixture
+    store: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     second = store / "round_0001.arrays"
-    second.write_bytes(second.read_bytes()[:500] if content is None else content)
-    damaged = second.read_bytes()
+    damaged = second.read_bytes()[:500]
+    second.write_bytes(damaged)
     np.testing.assert_array_equal(run(store).chain, whole().chain)
     (said,) = caplog.messages
     assert said.startswith(f"{second} was damaged: it is set aside as round_0001.arrays.damaged")
@@ -372,7 +365,7 @@ def fill(diagnostics):
     rounds.append(diagnostics)
     if len(rounds) == 2:
         resource.setrlimit(resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))
-found = sample(own, t.start(own), 7, t.SETTINGS, store=Path(sys.argv[1]), progress=fill)
+found = sample(own, t.start(own), 7, t.FOUR_ROUNDS, store=Path(sys.argv[1]), progress=fill)
 print(found.status, len(rounds), found.chain.shape[1] + found.diagnostics.burn_in, found.not_stored)
 """
 
@@ -382,8 +375,7 @@ def test_on_a_full_disk_rounds_are_kept_sampling_goes_on_and_the_result_says_so(
     done = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     status, rounds, steps, not_stored = done.stdout.strip().split(" ", 3)
-    assert status == "converged"
-    assert int(steps) == whole().diagnostics.steps == int(rounds) * SETTINGS.round_steps
+    assert (status, int(rounds), int(steps)) == ("budget", 4, 400)
     assert "round_0002.arrays: cannot be written (File too large); 2 rounds before it are kept" in not_stored
     assert sorted(p.name for p in tmp_path.iterdir()) == ["round_0000.arrays", "round_0001.arrays"]
     # with room again the same problem goes on from there

@@ -22,7 +22,6 @@ from cpam_bayes.parameters import Uniform
 from cpam_bayes.plate import Measurement
 from tests.linear_model import MEAN_HZ, SLOPE_HZ, LinearModel, exact_gaussian, measurement
 from tests.toy_models import (
-    ToyModel,
     crossing,
     independent,
     integral,
@@ -123,7 +122,6 @@ def linear_posterior() -> Posterior:
 
 def exact_log_evidence(data: Measurement) -> float:
     """Of the linear model where its bounds are far away: the residual's density over the prior's volume."""
-    assert data.relative_std is not None
     sd = data.relative_std * data.frequencies
     mean, covariance = exact_gaussian(data)
     height = norm.logpdf(data.frequencies, MEAN_HZ + SLOPE_HZ @ mean, sd).sum() - 2 * np.log(4.0)
@@ -266,7 +264,6 @@ def test_an_incomplete_list_has_an_optimum_where_its_complete_part_lies() -> Non
 
 def test_an_optimum_at_the_edge_of_the_constraints_is_found() -> None:
     own = independent((3.0, 7.0))
-    assert isinstance(own.model, ToyModel)
     below = replace(own, model=replace(own.model, allowed=lambda x: x[:, 0] + x[:, 1] < 0.8))
     best = find_optima(below, NOWHERE, np.random.default_rng(0))[0]
     # the nearest allowed point to (0.3, 0.7) is (0.2, 0.6); polls come to 0.01 standard deviations of it

@@ -318,12 +318,6 @@ def test_one_step_is_eq_5_for_angles_and_eq_1_and_2_for_constants() -> None:
     assert after.history == (0.01, 0.01)
 
 
-# Known minima
-
-
-# Constraints and ends
-
-
 def test_most_swarms_find_a_sequence_on_a_coarse_grid_and_its_constants() -> None:
     settings, found = SwarmSettings(particles=160), []
     for rng in map(np.random.default_rng, range(10)):

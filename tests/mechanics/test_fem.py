@@ -174,11 +174,8 @@ def test_one_element_alone_has_a_mechanism_that_is_found() -> None:
 # A plate, and how many modes.
 AGREEING = {
     "C1": (FREE["C1"], 6),
-    "B1": (plate(0.2815, 0.2455, 0.002, 1540.0, CARBON, (0.0,)), 6),
-    "C4": (plate(0.2, 0.16, 0.002, 1590.0, GLASS, ANGLE_PLY_16S), 6),
     "A2": (plate(0.25, 0.28, 0.003, 2700.0, {"E1": 69e9, "nu12": 0.33}, (0.0,), "CFFF"), 6),
     "D1": (plate(0.101, 0.053, 0.0035, 1550.0, CARBON | {"G23": 3.0e9}, (0.0,)), 10),
-    "D3": (plate(0.12, 0.06, 0.0035, 1590.0, GLASS, CROSS_PLY_16S, "CFFF"), 10),
     "D4": (plate(0.12, 0.06, 0.0035, 1590.0, GLASS, ANGLE_PLY_16S, "CFFF"), 10),
     "off-axis": (plate(0.2815, 0.2455, 0.002, 1540.0, CARBON, (30.0,)), 6),
     "clamped": (plate(0.2, 0.15, 0.003, 1600.0, CARBON, CROSS_PLY_16S, "CCCC"), 10),
@@ -347,12 +344,3 @@ def test_an_oblique_edge_has_its_own_length_and_no_simple_support(tmp_path: Path
     oblique = plate(0.2, 0.15, 0.004, 1600.0, CARBON, (0.0,), "CFSF")
     with pytest.raises(ValueError, match=r"'x1' is simply supported but not one straight line of"):
         from_mesh(oblique, quads, tmp_path)
-
-
-def test_rules_of_edges_and_area_add_up_on_the_rectangle() -> None:
-    problem = plate(0.2, 0.15, 0.004, 1600.0, CARBON)
-    space = fem_space("FFFF", problem.nominal, 3, 2)
-    for region in (AREA, *(Region("edge", edge=edge) for edge in EDGES)):
-        rule = space.quadrature(region)
-        assert rule.weights.sum() == pytest.approx(1.0, rel=1e-12)
-        assert rule.points.shape == (len(rule.weights), 2)

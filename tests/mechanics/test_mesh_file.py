@@ -12,6 +12,8 @@ from tests.meshes import Quads, grid, rectangle
 
 MM = (1 / 40.0, 1 / 20.0)  # a plate of 40 x 20
 EDGES = ("x0", "y0", "x1", "y1")
+FOUR = rectangle(40.0, 20.0, 2, 2)
+INNER_LINE = replace(FOUR, lines={"x0": np.array([[1, 4]])})
 
 # As Gmsh 4.15 writes a 40 x 20 rectangle of two cells with named sides.
 GMSH_41 = """$MeshFormat
@@ -104,12 +106,11 @@ def test_cells_of_4_8_and_9_nodes_are_read(tmp_path: Path, nodes: int, binary: b
 
 
 def test_clockwise_cells_are_turned(tmp_path: Path) -> None:
-    quads = rectangle(40.0, 20.0, 2, 2)
-    cells = quads.cells.copy()
+    cells = FOUR.cells.copy()
     cells[1] = cells[1, ::-1]
-    path = replace(quads, cells=cells).write(tmp_path / "plate.msh")
+    path = replace(FOUR, cells=cells).write(tmp_path / "plate.msh")
     mesh, _ = read_mesh(path, MM, EDGES)
-    straight, _ = read_mesh(quads.write(path), MM, EDGES)
+    straight, _ = read_mesh(FOUR.write(path), MM, EDGES)
     area = [np.linalg.det(np.moveaxis(m.mapping().DF(np.full((2, 1), 0.5)), (0, 1), (-2, -1)))
             for m in (mesh, straight)]  # fmt: skip
     np.testing.assert_allclose(*area)
@@ -120,18 +121,6 @@ def _pieces(gap: float) -> Quads:
     n = len(one.points)
     other = one.points + np.array([20.0 + gap, 0.0, 0.0])
     return Quads(np.concatenate((one.points, other)), np.concatenate((one.cells, one.cells + n)), {})
-
-
-def _folded() -> Quads:
-    quads = rectangle(40.0, 20.0, 2, 2)
-    points = quads.points.copy()
-    points[4] = [39.0, 19.0, 0.0]  # the middle node, beyond the diagonal of a cell
-    return replace(quads, points=points)
-
-
-def _bow_tie() -> Quads:
-    quads = rectangle(40.0, 20.0, 2, 2)
-    return replace(quads, cells=quads.cells[:, [0, 2, 1, 3]])
 
 
 def _overlapping() -> Quads:
@@ -150,17 +139,15 @@ def _unshared_middles() -> Quads:
     return replace(quads, points=points, cells=cells)
 
 
-def _inner_line() -> Quads:
-    quads = rectangle(40.0, 20.0, 2, 2)
-    return replace(quads, lines={"x0": np.array([[1, 4]])})
+def _moved(*middle: float) -> Quads:
+    """Four cells with their common node elsewhere."""
+    points = FOUR.points.copy()
+    points[4] = middle
+    return replace(FOUR, points=points)
 
 
-def _moved(**points: float) -> Quads:
-    quads = rectangle(40.0, 20.0, 2, 2)
-    moved = quads.points.copy()
-    moved[4, 2] = points.get("z", 0.0)
-    moved[4, 0] = points.get("x", moved[4, 0])
-    return replace(quads, points=moved * points.get("scale", 1.0))
+def _scaled(factor: float) -> Quads:
+    return replace(FOUR, points=factor * FOUR.points)
 
 
 @pytest.mark.parametrize(
@@ -168,16 +155,17 @@ def _moved(**points: float) -> Quads:
     [
         (_pieces(1.0), "2 pieces that share no side; merge coincident nodes"),
         (_pieces(0.0), "2 pieces that share no side"),
-        (_folded(), r"cells are folded or without area, the first around"),
-        (_bow_tie(), "4 cells are folded"),
+        # beyond the diagonal of a cell
+        (_moved(39.0, 19.0, 0.0), r"cells are folded or without area, the first around"),
+        (replace(FOUR, cells=FOUR.cells[:, [0, 2, 1, 3]]), "4 cells are folded"),
         (_overlapping(), "cells overlap"),
         (_unshared_middles(), "neighbours must share the nodes in the middle"),
-        (_inner_line(), r"1 of 1 lines of 'x0' are no sides of the plate's boundary"),
-        (rectangle(40.0, 20.0, 2, 2).without("y0"), r"\['y0'\] are held.*\['x0', 'x1', 'y1'\]"),
-        (_moved(z=3.0), "z varies by 3; accepted: a flat plate"),
-        (_moved(x=np.nan), "not finite"),
-        (_moved(scale=1e-3), r"extends over 0.04 x 0.02, the plate over 40 x 20 in the same unit"),
-        (_moved(scale=25.4), "check the mesh's unit"),
+        (INNER_LINE, r"1 of 1 lines of 'x0' are no sides of the plate's boundary"),
+        (FOUR.without("y0"), r"\['y0'\] are held.*\['x0', 'x1', 'y1'\]"),
+        (_moved(20.0, 10.0, 3.0), "z varies by 3; accepted: a flat plate"),
+        (_moved(np.nan, 10.0, 0.0), "not finite"),
+        (_scaled(1e-3), r"extends over 0.04 x 0.02, the plate over 40 x 20 in the same unit"),
+        (_scaled(25.4), "check the mesh's unit"),
     ],
     ids=[
         "pieces", "unmerged", "folded", "bow-tie", "overlapping", "middles", "inner-line",
@@ -253,7 +241,7 @@ def test_a_missing_file_and_a_directory_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_missing_meshio_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = rectangle(40.0, 20.0, 2, 2).write(tmp_path / "plate.msh")
+    path = FOUR.write(tmp_path / "plate.msh")
     monkeypatch.setitem(sys.modules, "meshio", None)
     with pytest.raises(ValueError, match="needs meshio; install it with the extra 'mesh'"):
         read_mesh(path, MM, ())
