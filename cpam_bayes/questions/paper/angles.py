@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.formatting import listed
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.plate import angle_grid, builtin
 from cpam_bayes.questions.paper.rows import (
@@ -40,6 +41,8 @@ _DRAWS: Final = 2000
 _CHANCE: Final = 0.05
 # Standard deviations that a one-sided normal distribution exceeds with this chance.
 _BEYOND_CHANCE: Final = 1.645
+# Predictive p-value of the most probable layup below which none explains a list.
+_UNEXPLAINED: Final = 0.001
 
 
 def motions_of(specimen: str) -> tuple[str, ...]:
@@ -213,7 +216,7 @@ def free_ends(
 
 def told(weighed: Mapping[str, Any]) -> dict[str, float]:
     """What one list at a level tells of the angles: probabilities, and bits of each, the outermost first."""
-    kept = ("true_probability", "printed_probability", "most_bits", "credible_95_count")
+    kept = ("true_probability", "printed_probability", "most_bits", "credible_95_count", "p_value")
     bits = {f"bits_{i}": b for i, b in enumerate(weighed["bits"], 1)}
     return {**{key: float(weighed[key]) for key in kept}, **bits}
 
@@ -297,8 +300,17 @@ def _weighed_angles(rows: Sequence[Row]) -> str:
         f"All layups weighed by the first list of each level, its noise stated: it tells {outer:.2f} bits of "
         f"the outermost angle and {inner:.2f} of the innermost, of {weighed[0].details['most_bits']:.2f} "
         f"({len(weighed)} lists; less of the innermost in {_less_of_the_innermost(weighed)}). The true layup "
-        f"has a probability of {true:.2g} at most."
+        f"has a probability of {true:.2g} at most.{_explained_by_none(weighed)}"
     )
+
+
+def _explained_by_none(weighed: Sequence[Row]) -> str:
+    """Lists that no layup explains at their noise: what they tell is of another plate."""
+    odd = [row for row in weighed if (row.details["p_value"] or 0.0) < _UNEXPLAINED]
+    if not odd:
+        return ""
+    which = [f"{row.specimen} at {row.source} (p = {row.details['p_value']:.1g})" for row in odd]
+    return f" No layup explains the list of {listed(which, 'and')}: what it tells is of another plate."
 
 
 def _less_of_the_innermost(weighed: Sequence[Row]) -> int:

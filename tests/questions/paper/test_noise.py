@@ -158,6 +158,7 @@ def sought_and_weighed(
         "true_probability": 0.2,
         "printed_probability": 0.01,
         "credible_95_count": 30,
+        "p_value": 0.3,
         "constants": {n: {"mean": 127.0, "sd": 1.0, "q025": low, "q975": high} for n in CONSTANTS},
     }
     computed = {
@@ -170,6 +171,7 @@ def sought_and_weighed(
 def test_where_angles_are_sought_the_interval_is_over_all_layups_and_none_without_it() -> None:
     alone, weighed = sought_and_weighed(125.0, 129.0)
     rows = rows_of(11, weighed)
+    assert "No layup explains" not in noisy_angles(rows)
     row = of(rows, "E1_GPa")  # printed 127.6, 87 standard errors away
     assert (row.q025, row.q975, row.verdict) == (125.0, 129.0, WITHIN)
     assert row.details["posterior_mean"] == 127.0
@@ -179,6 +181,14 @@ def test_where_angles_are_sought_the_interval_is_over_all_layups_and_none_withou
     assert (row.q025, row.q975, row.verdict) == (None, None, NOT_REPRODUCIBLE)
     assert "interval" not in row.reason
     assert "For C1 none over all layups" in means_of_ten(rows_of(11, alone))
+
+
+def test_a_list_that_no_layup_explains_is_named() -> None:
+    _, computed = sought_and_weighed(125.0, 129.0)
+    levels = computed["layups", "C1", BUILT_IN]["levels"]
+    computed["layups", "C1", BUILT_IN]["levels"] = [{**levels[0], "p_value": 3e-5}, *levels[1:]]
+    said = noisy_angles(rows_of(11, computed))
+    assert "No layup explains the list of C1 at 1 % disorder (p = 3e-05): what it tells is" in said
 
 
 def test_a_mean_with_neither_standard_error_nor_interval_is_not_determined() -> None:
