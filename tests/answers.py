@@ -41,7 +41,6 @@ def poles(folder: Path) -> Result:
 QUICK: dict[str, Callable[[Path], Result]] = {
     "batch": lambda folder: cb.batch("A1", "no such plate", limits=["E1_GPa >= 60"]),
     "compare": lambda folder: cb.compare("A1", "A2"),
-    "design": lambda folder: cb.design("A1"),
     "diagnose": lambda folder: diagnosis_result(clean(), 0),
     "diagnose, named": lambda folder: diagnosis_result(misread(), 0),
     "export": lambda folder: cb.export("A1", folder / "A1.inp"),
@@ -51,10 +50,10 @@ QUICK: dict[str, Callable[[Path], Result]] = {
     "paper": lambda folder: table_7()[0],
     "plates": lambda folder: cb.plates(),
     "poles": poles,
-    "sequence": lambda folder: stacking_result(answer(), mixture(), None, 0, 5),
 }
 SLOW: dict[str, Callable[[Path], Result]] = {
     "calibrate": lambda folder: cb.calibrate("A1", 20),
+    "design": lambda folder: cb.design("A1"),
     "identify, emcee": lambda folder: cb.sample("A1", settings=CHAINS),
     "predict": lambda folder: cb.predict(answered("identify, emcee"), "A2"),
     "prove": proved,
@@ -62,6 +61,7 @@ SLOW: dict[str, Callable[[Path], Result]] = {
     "sensitivity": lambda folder: cb.sensitivity(
         "A1", levels=(0.01,), groups=3, settings=SWARM, chains=CHAINS
     ),
+    "sequence": lambda folder: stacking_result(answer(), mixture(), None, 0, 5),
 }
 EVERY = [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)]
 

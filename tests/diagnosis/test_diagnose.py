@@ -217,6 +217,7 @@ def test_what_is_wrong_with_one_of_two_lists_is_left_out_of_that_list(
     assert np.abs(np.delete(held_out, 11)).max() < 0.3 * held_out[11]
 
 
+@pytest.mark.slow
 def test_the_frequency_that_a_list_hypothesis_explains_is_told_by_its_own_list(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

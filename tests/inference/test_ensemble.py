@@ -118,7 +118,7 @@ def test_chains_have_the_closed_form_however_good_a_proposal_is(name: str) -> No
         proposal = around(posterior(), mean + away * sd, width * sd)
     else:
         proposal = good_proposal() if name == "good" else None
-    found = run(settings=JUMPING if name == "good" else SETTINGS, proposal=proposal)
+    found = run(settings=JUMPING if proposal else SETTINGS, proposal=proposal)
     check_moments(found, mean, covariance)
     assert found.diagnostics.r_hat <= 1.01
     time = found.diagnostics.autocorrelation_time

@@ -118,10 +118,10 @@ TOLERANCE = 0.1
     ("shift", "lacks", "false"),
     [
         (0.0, (3,), (555.0,)),
-        (0.01 * BUMP, (3,), (555.0,)),
+        pytest.param(0.01 * BUMP, (3,), (555.0,), marks=pytest.mark.slow),
         (0.02 * BUMP, (1,), ()),
         # the false peak lies above the highest mode of the list
-        (0.0, (7,), (660.0,)),
+        pytest.param(0.0, (7,), (660.0,), marks=pytest.mark.slow),
     ],
 )
 def test_an_evidence_is_the_sum_over_all_pairings(
