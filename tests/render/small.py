@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -22,6 +23,13 @@ from cpam_bayes.result import Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+class Terminal(io.StringIO):
+    """Standard error or output that is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
 
 CONSTANTS = Rows(
     "constants",

@@ -1,22 +1,15 @@
 """The pages of the commands as a browser shows them: whole, readable, nothing out of reach."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.answers import EVERY, answered
-from tests.browser import Browser, faults, open_browser
+from tests.browser import Browser, faults
 
 pytestmark = pytest.mark.needs_browser
 
 WIDE, PHONE = 1280, 390
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with open_browser() as opened:
-        yield opened
 
 
 @pytest.mark.parametrize("name", EVERY)

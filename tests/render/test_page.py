@@ -1,14 +1,13 @@
 """One page for every answer: whole in itself, the answer first, for every reader."""
 
 import re
-from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
 
 from cpam_bayes.render.page import TERMS, page_text, terms_section
-from tests.browser import Browser, faults, open_browser
+from tests.browser import Browser, faults
 from tests.render.small import REPORT, RESULT
 
 PROJECT = Path(__file__).parents[2]
@@ -137,12 +136,6 @@ def test_a_page_explains_the_words_that_it_uses_as_the_glossary_does() -> None:
 
 
 # In a browser
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with open_browser() as opened:
-        yield opened
 
 
 @pytest.mark.needs_browser

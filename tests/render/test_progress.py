@@ -1,6 +1,5 @@
 """Progress: a line now and then, a bar on a terminal, nothing when quiet."""
 
-import io
 import itertools
 import re
 import sys
@@ -11,11 +10,7 @@ from cpam_bayes.parallel import run
 from cpam_bayes.render import terminal as module
 from cpam_bayes.render.terminal import Terminal as Watch
 from cpam_bayes.render.terminal import announce, duration, forecasting, progress
-
-
-class Terminal(io.StringIO):
-    def isatty(self):
-        return True
+from tests.render.small import Terminal
 
 
 def work(total, quiet=False):

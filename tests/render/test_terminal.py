@@ -4,8 +4,9 @@ import io
 
 import pytest
 
+from cpam_bayes.render.report import facts, remarks
 from cpam_bayes.render.terminal import screen_tables, screen_text
-from tests.render.small import REPORT, RESULT
+from tests.render.small import REPORT, RESULT, Terminal
 
 PLAIN = """\
 identify D&G
@@ -32,11 +33,6 @@ Computation
 """
 
 
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
 def test_a_file_gets_aligned_plain_lines() -> None:
     assert screen_text(screen_tables(REPORT), io.StringIO()) == PLAIN
     assert RESULT.summary() == PLAIN
@@ -60,8 +56,6 @@ def test_a_terminal_without_abilities_gets_plain_lines(monkeypatch: pytest.Monke
 
 
 def test_a_long_sentence_is_broken_and_a_table_is_not() -> None:
-    from cpam_bayes.render.report import facts, remarks
-
     text = screen_text((remarks("", ("word " * 60,)), facts("", (("a", "b" * 150),))), io.StringIO())
     sentence, table = text.split("\n\n")
     assert max(map(len, sentence.splitlines())) <= 100
