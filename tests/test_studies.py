@@ -47,8 +47,14 @@ def saved(name: str) -> dict[str, Any]:
     return found
 
 
+# Long ones that are tested in parts: claims, hostile files and growth have files of tests of their own.
+IN_PARTS = ("15_claims", "21_hard_use", "23_growth")
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", STUDIES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.weekly] if name in IN_PARTS else []) for name in STUDIES]
+)
 def test_a_small_run_has_the_documented_keys(name: str) -> None:
     found = quick(name)
     assert list(found) == list(script("studies", name).KEYS)

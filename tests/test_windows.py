@@ -42,9 +42,6 @@ if __name__ == "__main__":
 """
 
 
-BATCH = ("batch", "panel.toml", "other.toml", "--out", "answers")
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """The script and files that it is run on."""
@@ -62,11 +59,13 @@ def folder(tmp_path: Path) -> Path:
     [
         ("--version",),
         ("identify", "panel.toml", "--json", "--out", "answer"),
-        pytest.param(BATCH, marks=pytest.mark.slow),
-        pytest.param((*BATCH, "--workers", "2"), marks=pytest.mark.slow),
+        pytest.param(
+            ("batch", "panel.toml", "other.toml", "--out", "answers", "--workers", "2"),
+            marks=pytest.mark.slow,
+        ),
         pytest.param(("prove", "panel.toml", "coin.toml", "--out", "answer"), marks=pytest.mark.slow),
     ],
-    ids=("version", "identify", "batch", "workers", "prove"),
+    ids=("version", "identify", "workers", "prove"),
 )
 def test_commands_run_without_the_names_that_windows_lacks(folder: Path, arguments: tuple[str, ...]) -> None:
     command = [sys.executable, "run.py", *arguments]

@@ -19,7 +19,7 @@ from cpam_bayes.stacking.conditional import (
 from cpam_bayes.stacking.evaluation import of_sequence, scan_library, scanned_starts
 from cpam_bayes.stacking.posterior import MixtureSettings, sample_mixture
 from cpam_bayes.stacking.queries import angle_information, bending_fractions, entropies, given_layup
-from tests.stacking.cases import TRUE, answer, shortened
+from tests.stacking.cases import TRUE, answer, mixture, shortened
 
 N = 3
 LOG_Z = np.array([0.0, -7.0, 3.0])
@@ -125,10 +125,9 @@ def test_a_basis_for_one_sequence_is_good_for_all_constants(noise: float, error:
 def test_moments_by_emcee_on_the_basis_of_a_sequence_are_those_on_the_whole_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    own, one = answer(), MixtureSettings(least=2.0)
-    small = sample_mixture(own, 0, settings=one).components[0]
+    small = mixture().components[0]
     monkeypatch.setattr(stacking_mixture, "of_sequence", lambda conditional, angles, noise: conditional)
-    whole = sample_mixture(own, 0, settings=one).components[0]
+    whole = sample_mixture(answer(), 0, settings=MixtureSettings(least=2.0)).components[0]
     # a fiftieth of the noise of a frequency is nothing beside the errors of sampling
     for a, b in ((small.chains, whole.chains), (small.importance, whole.importance)):
         moved = (a.mean - b.mean) / np.hypot(a.mean_error, b.mean_error)

@@ -20,7 +20,7 @@ STEP = 45.0
 THIN, THICK = 0.4, 5.0
 
 
-def specimen(layup: str = LAYUP, thickness: float = 1.0) -> Specimen:
+def specimen(thickness: float) -> Specimen:
     """A plate of twelve plies whose list is that of the sequence 0/90/90/0."""
     own = builtin("C1")
     known = replace(
@@ -32,14 +32,14 @@ def specimen(layup: str = LAYUP, thickness: float = 1.0) -> Specimen:
     listed = replace(
         own.measurement, frequencies=found[:6], relative_std=0.005, resolution=0.0, labels=("",) * 6
     )
-    plate = replace(known, layup=parse_layup(layup))
+    plate = replace(known, layup=parse_layup(LAYUP))
     return replace(own, plate=plate, measurement=listed, angle_grid_deg=STEP)
 
 
 @cache
 def answer(thickness: float) -> StackingPosterior:
     settings = StackingSettings(draws=40, listed=40, log2_points=7)
-    return stacking_posterior(specimen(thickness=thickness), 0, settings=settings)
+    return stacking_posterior(specimen(thickness), 0, settings=settings)
 
 
 @pytest.mark.parametrize(("layup", "step"), [(LAYUP, 15.0), ("[?/?]_s", 15.0)])
@@ -96,7 +96,7 @@ def test_a_thick_plate_tells_them_apart_by_its_shear() -> None:
 
 @pytest.mark.parametrize(("thickness", "least", "most"), [(THIN, 0.0, 1e-4), (THICK, 5e-3, 0.5)])
 def test_the_full_model_says_so_too(thickness: float, least: float, most: float) -> None:
-    own = specimen(thickness=thickness)
+    own = specimen(thickness)
     found = []
     for layup in ("[0/90/90/0/0/0]_s", "[90/0/0/0/90/0]_s"):
         plate = replace(own.plate, layup=parse_layup(layup))

@@ -69,18 +69,21 @@ def everything(sums: PlySums, freedom: float = np.inf) -> tuple[np.ndarray, np.n
     return sequences, surface(sums.features(sequences), freedom)
 
 
+FLOOR = -12.0
+
+
 @cache
-def surrogate(floor: float, freedom: float = np.inf) -> PiecewiseLinearSurrogate:
+def surrogate(floor: float, freedom: float = np.inf, halvings: int = 2) -> PiecewiseLinearSurrogate:
     bound = ply_sums(LAYUP, GRID).rest_bound
-    return piecewise_linear_surrogate(tangent, bound, 0.0, -floor, halvings=2, slack=0.6, freedom=freedom)
+    return piecewise_linear_surrogate(tangent, bound, 0.0, -floor, halvings, slack=0.6, freedom=freedom)
 
 
 # For each angle of the grid, the place of its negative.
 NEGATION = np.array([int(np.flatnonzero(np.isclose((a + GRID) % 180.0, 0.0))[0]) for a in GRID])
 
 
-def enumerator(sums: PlySums, floor: float, mirrored: bool = True, threshold: float = np.inf) -> Enumeration:
-    return Enumeration(surrogate(floor), sums, 0.0, NEGATION if mirrored else None, threshold)
+def enumerator(sums: PlySums, mirrored: bool = True, threshold: float = np.inf) -> Enumeration:
+    return Enumeration(surrogate(FLOOR), sums, 0.0, NEGATION if mirrored else None, threshold)
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +136,7 @@ def test_unsymmetric_layups_are_refused() -> None:
 @pytest.mark.parametrize("mirrored", [True, False])
 def test_sums_over_all_sequences_are_those_of_a_loop(sums: PlySums, mirrored: bool) -> None:
     sequences, value = everything(sums)
-    own = enumerator(sums, -12.0, mirrored)
+    own = enumerator(sums, mirrored)
     piece = enumerate_prefixes(own, prefixes_to_visit(own))
     inside = own.table.lookup(sums.features(sequences)[:, :4]) >= 0
     assert piece.kept == inside.sum()
@@ -152,10 +155,14 @@ def test_sums_over_all_sequences_are_those_of_a_loop(sums: PlySums, mirrored: bo
     assert not len(piece.listed)
 
 
-@pytest.mark.parametrize(("freedom", "floor"), [(np.inf, -6.0), (6.0, -3.0)])
-def test_what_is_left_out_lies_below_the_floor(sums: PlySums, freedom: float, floor: float) -> None:
+@pytest.mark.parametrize(
+    ("freedom", "floor", "halvings"), [(np.inf, FLOOR, 2), (np.inf, -6.0, 1), (6.0, -3.0, 1)]
+)
+def test_what_is_left_out_lies_below_the_floor(
+    sums: PlySums, freedom: float, floor: float, halvings: int
+) -> None:
     sequences, value = everything(sums, freedom)
-    table = surrogate(floor, freedom)
+    table = surrogate(floor, freedom, halvings)
     outside = table.lookup(sums.features(sequences)[:, :4]) < 0
     assert outside.any()
     assert value[outside].max() < floor
@@ -164,7 +171,7 @@ def test_what_is_left_out_lies_below_the_floor(sums: PlySums, freedom: float, fl
 @pytest.mark.parametrize("mirrored", [True, False])
 def test_the_list_holds_all_above_the_threshold_and_the_sums_all_below(sums: PlySums, mirrored: bool) -> None:
     sequences, value = everything(sums)
-    own = enumerator(sums, -12.0, mirrored, threshold=-2.0)
+    own = enumerator(sums, mirrored, threshold=-2.0)
     piece = combined([enumerate_prefixes(own, p) for p in np.array_split(prefixes_to_visit(own), 3)])
     high = value >= -2.0
     assert piece.times.sum() == high.sum()
@@ -176,7 +183,7 @@ def test_the_list_holds_all_above_the_threshold_and_the_sums_all_below(sums: Ply
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_share_of_the_sequences_stands_for_all_but_those_that_are_listed(sums: PlySums, seed: int) -> None:
-    whole = replace(enumerator(sums, -12.0), threshold=-0.5)
+    whole = enumerator(sums, threshold=-0.5)
     mixed = np.random.default_rng(seed).permutation(len(GRID) ** whole.n_inner)
     own = replace(whole, share=3, mixed=mixed)
     every, some = (enumerate_prefixes(of, prefixes_to_visit(of)) for of in (whole, own))

@@ -10,11 +10,18 @@ from cpam_bayes.stacking.posterior import MixtureSettings, n_sampled_classes, sa
 from cpam_bayes.stacking.posterior import _combined as combined
 from cpam_bayes.stacking.queries import given_layup
 from cpam_bayes.stacking.symmetry import members
-from tests.stacking.cases import answer, mixture, shortened
+from tests.stacking.cases import SAMPLED, answer, mixture, shortened
 
 pytestmark = pytest.mark.slow
 
 ONE = MixtureSettings(least=2.0)
+# Chains too short to be any good, of what is asked which and how often.
+SHORT = replace(
+    ONE,
+    ensembles=replace(ONE.ensembles, walkers=12, round_steps=10, most_steps=10),
+    proposal=replace(ONE.proposal, rounds=1, draws=200),
+    points=200,
+)
 
 
 def test_the_first_class_is_sampled_by_emcee_and_so_are_those_with_much_of_the_probability() -> None:
@@ -94,29 +101,24 @@ def test_what_is_not_sampled_has_its_importance_draws_where_it_is_listed_and_is_
 def test_a_sequence_that_is_asked_for_is_sampled_too() -> None:
     own = answer()
     third = given_layup(own, own.top[2])
-    found = sample_mixture(own, 0, given=third, settings=ONE)
+    found = sample_mixture(own, 0, given=third, settings=SHORT)
     assert found.given.index == 2
     assert len(found.components) == 1
     assert len(found.sampled) == 2
     # the same work as where it is one of the most probable
-    np.testing.assert_array_equal(found.given.draws, mixture().components[2].draws)
+    most_probable = sample_mixture(own, 0, settings=replace(SHORT, least=SAMPLED))
+    np.testing.assert_array_equal(found.given.draws, most_probable.components[2].draws)
 
 
 def test_the_same_seed_gives_the_same_draws_whoever_computes_them() -> None:
     own = answer()
-    short = replace(
-        ONE,
-        ensembles=replace(ONE.ensembles, walkers=12, round_steps=10, most_steps=10),
-        proposal=replace(ONE.proposal, rounds=1, draws=200),
-        points=200,
-    )
     told: list[tuple[int, int]] = []
-    alone = sample_mixture(own, 0, settings=short, progress=lambda done, total: told.append((done, total)))
-    n = n_sampled_classes(own, short)
+    alone = sample_mixture(own, 0, settings=SHORT, progress=lambda done, total: told.append((done, total)))
+    n = n_sampled_classes(own, SHORT)
     assert told == [(done, n) for done in range(1, n + 1)]
     with open_executor("processes", 2) as executor:
-        shared = sample_mixture(own, 0, settings=short, executor=executor)
+        shared = sample_mixture(own, 0, settings=SHORT, executor=executor)
     np.testing.assert_array_equal(shared.parameters, alone.parameters)
     np.testing.assert_array_equal(shared.angles_deg, alone.angles_deg)
-    other = sample_mixture(own, 1, settings=short)
+    other = sample_mixture(own, 1, settings=SHORT)
     assert not np.array_equal(other.parameters, alone.parameters)

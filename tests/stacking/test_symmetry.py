@@ -1,6 +1,7 @@
 """Sequences that no frequency can tell apart: which motions count, and the classes that they make."""
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -139,7 +140,7 @@ def test_angles_of_an_image_are_those_of_the_motion(step: float) -> None:
     specimen = unknown_plate("[?/?]_s", step=step)
     grid = angle_grid(step)
     motions = {MIRROR: lambda t: -t, TURN: lambda t: t + 90.0, DIAGONAL: lambda t: 90.0 - t}
-    rows = np.stack(np.meshgrid(*[np.arange(len(grid))] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    rows = np.array(list(product(range(len(grid)), repeat=2)))
     for symmetry in plate_symmetries(specimen):
         moved, holds = image(rows, symmetry)
         assert holds.all()
@@ -208,16 +209,11 @@ PLATES = (
 )
 
 
-def every_sequence(n_grid: int, n_unknown: int, dtype: type = np.int64) -> np.ndarray:
-    axes = [np.arange(n_grid, dtype=dtype)] * n_unknown
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, n_unknown)
-
-
 @pytest.mark.parametrize(("layup", "width"), PLATES)
 def test_classes_are_the_orbits_of_the_symmetries(layup: str, width: float) -> None:
     specimen = unknown_plate(layup, width=width, step=30.0)
     symmetries = plate_symmetries(specimen)
-    rows = every_sequence(6, specimen.plate.layup.n_unknown)
+    rows = np.array(list(product(range(6), repeat=specimen.plate.layup.n_unknown)))
     orbits = canonical(rows, symmetries)
     # the slow way: images one row at a time
     for i, row in enumerate(rows):

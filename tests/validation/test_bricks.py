@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import cpam_bayes as cb
+from cpam_bayes.forward_model.calculix.deck import Deck
 from cpam_bayes.forward_model.calculix.run import solve_modes
 from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.plate import Sensor, Specimen
@@ -36,14 +37,19 @@ def plate(edges: str = "FFFF") -> Specimen:
     return cb.read_plate(described(size, 1560.0, material, layup="[0/90]_s", edges=edges))
 
 
-def nodes(flaws: Flaws) -> np.ndarray:
-    specimen = plate()
-    return flawed_deck(specimen, reference_constants(specimen), 4, flaws, in_plane=IN_PLANE).mesh.nodes
+def deck_of(flaws: Flaws, edges: str = "FFFF") -> Deck:
+    specimen = plate(edges)
+    return flawed_deck(specimen, reference_constants(specimen), 4, flaws, in_plane=IN_PLANE)
 
 
 def text(flaws: Flaws, edges: str = "FFFF") -> str:
-    specimen = plate(edges)
-    return flawed_deck(specimen, reference_constants(specimen), 4, flaws, in_plane=IN_PLANE).text
+    return deck_of(flaws, edges).text
+
+
+def solved(flaws: Flaws, specimen: Specimen | None = None) -> np.ndarray:
+    """The first four frequencies by CalculiX, by default of the free plate."""
+    specimen = specimen or plate()
+    return flawed_frequencies(specimen, reference_constants(specimen), 4, flaws, in_plane=IN_PLANE)
 
 
 def block(deck: str, keyword: str) -> list[list[float]]:
@@ -53,14 +59,14 @@ def block(deck: str, keyword: str) -> list[list[float]]:
 
 
 def test_a_taper_makes_one_end_thicker_and_keeps_the_midplane() -> None:
-    moved = nodes(Flaws(taper=(0.1, 0.0)))
+    moved = deck_of(Flaws(taper=(0.1, 0.0))).mesh.nodes
     for x, thickness in ((0.0, 0.9 * H), (A, 1.1 * H)):
         z = moved[np.isclose(moved[:, 0], x), 2]
         assert_allclose([z.min(), z.max()], [-thickness / 2, thickness / 2])
 
 
 def test_a_sag_lifts_the_middle_and_leaves_the_corners() -> None:
-    flat, moved = nodes(Flaws()), nodes(Flaws(sag=(1e-3, 5e-4)))
+    flat, moved = (deck_of(flaws).mesh.nodes for flaws in (Flaws(), Flaws(sag=(1e-3, 5e-4))))
     lift = moved[:, 2] - flat[:, 2]
     assert lift.max() == pytest.approx(1.5e-3, rel=0.1)
     corner = np.isclose(flat[:, 0] * flat[:, 1], 0.0) & np.isclose(flat[:, 0] + flat[:, 1], 0.0)
@@ -161,27 +167,21 @@ def test_files_tell_nothing_of_the_truth() -> None:
 def test_without_flaws_the_deck_is_that_of_the_plate() -> None:
     for edges in ("FFFF", "CFFF"):
         specimen = plate(edges)
-        constants = reference_constants(specimen)
-        found = flawed_frequencies(specimen, constants, 4, in_plane=IN_PLANE)
-        assert_allclose(found, solve_modes(specimen, constants, 4, in_plane=IN_PLANE).frequencies, rtol=1e-6)
+        whole = solve_modes(specimen, reference_constants(specimen), 4, in_plane=IN_PLANE)
+        assert_allclose(solved(Flaws(), specimen), whole.frequencies, rtol=1e-6)
 
 
 @pytest.mark.needs_ccx
 def test_a_mass_of_the_truth_acts_as_one_of_the_file() -> None:
-    specimen = plate()
-    constants = reference_constants(specimen)
-    known = replace(specimen, sensors=(Sensor(2e-3, 0.03, 0.12),))
+    known = replace(plate(), sensors=(Sensor(2e-3, 0.03, 0.12),))
     hidden = Flaws(masses=(Mass(2e-3, 0.03, 0.12),))
-    found = flawed_frequencies(specimen, constants, 4, hidden, in_plane=IN_PLANE)
-    assert_allclose(found, flawed_frequencies(known, constants, 4, in_plane=IN_PLANE), rtol=1e-9)
+    assert_allclose(solved(hidden), solved(Flaws(), known), rtol=1e-9)
 
 
 @pytest.mark.needs_ccx
 def test_stiff_springs_are_a_clamp_and_soft_ones_are_not() -> None:
-    specimen = plate("CFFF")
-    constants = reference_constants(specimen)
     held, stiff, soft = (
-        flawed_frequencies(specimen, constants, 4, Flaws(springs=s), in_plane=IN_PLANE)
+        solved(Flaws(springs=s), plate("CFFF"))
         for s in (None, Springs(1e16, 1e16, 1e16), Springs(5e12, 5e12, 1e10))
     )
     assert_allclose(stiff, held, rtol=1e-3)
@@ -190,12 +190,7 @@ def test_stiff_springs_are_a_clamp_and_soft_ones_are_not() -> None:
 
 @pytest.mark.needs_ccx
 def test_heat_raises_one_way_and_lowers_the_other() -> None:
-    specimen = plate()
-    constants = reference_constants(specimen)
-    cold, none, warm = (
-        flawed_frequencies(specimen, constants, 1, Flaws(heat=h), in_plane=IN_PLANE)[0]
-        for h in (Heat(-2e-5), None, Heat(2e-5))
-    )
+    cold, none, warm = (solved(Flaws(heat=h))[0] for h in (Heat(-2e-5), None, Heat(2e-5)))
     # to first order in the stress
     assert warm - none == pytest.approx(none - cold, rel=0.1)
     assert abs(warm / none - 1.0) > 1e-3
@@ -203,10 +198,5 @@ def test_heat_raises_one_way_and_lowers_the_other() -> None:
 
 @pytest.mark.needs_ccx
 def test_a_small_taper_is_of_second_order_on_a_free_plate() -> None:
-    specimen = plate()
-    constants = reference_constants(specimen)
-    there, back = (
-        flawed_frequencies(specimen, constants, 4, Flaws(taper=(t, 0.0)), in_plane=IN_PLANE)
-        for t in (0.05, -0.05)
-    )
+    there, back = (solved(Flaws(taper=(t, 0.0))) for t in (0.05, -0.05))
     assert_allclose(there, back, rtol=1e-6)
