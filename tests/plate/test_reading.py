@@ -364,7 +364,13 @@ def test_what_is_no_plate_file_is_refused(tmp_path, make, name, said):
 
 @pytest.mark.parametrize(
     ("name", "said"),
-    [("", NO_FILE), ("C5", "C4"), ("c1", "built-in: C1"), ("d&g", "built-in: D&G"), ("specimen", "D&G A1 A2")],
+    [
+        ("", NO_FILE),
+        ("C5", "C4"),
+        ("c1", "built-in: C1"),
+        ("d&g", "built-in: D&G"),
+        ("specimen", "D&G A1 A2"),
+    ],
 )
 def test_a_name_is_answered_with_the_nearest_or_all_that_are_built_in(name, said):
     assert said in refused(name)

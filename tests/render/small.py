@@ -24,6 +24,7 @@ from cpam_bayes.result import Result
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+
 class Terminal(io.StringIO):
     """Standard error or output that is a terminal."""
 

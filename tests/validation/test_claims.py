@@ -291,6 +291,13 @@ def test_what_is_hidden_above_its_limit_must_be_claimed_alone_or_in_a_class() ->
     assert any(line.startswith(f"| {scoring.BELOW} | - | 0.000 |") for line in said)
 
 
+def test_an_interval_covers_the_truth_or_does_not() -> None:
+    assert scoring.score(truth("warp"), answer("none"))["inside"] == {"E1_GPa": True}
+    far = answer("none")
+    far["constants"] = {"E1_GPa": {"mean": 43.0, "sd": 1.0}}
+    assert scoring.score(truth("warp"), far)["inside"] == {"E1_GPa": False}
+
+
 def test_stated_probability_is_held_against_how_often_it_is_right() -> None:
     records = [{"claim": "named", "probability": 0.95, "right": i < 90} for i in range(100)]
     found = scoring.honesty(records, ("named",))
