@@ -18,7 +18,7 @@ _ROUGH, _DOUBTFUL = 0.3, 0.3
 _COUNTS = 1e-3
 # No sequence explains a list whose residuals have a smaller probability by noise alone, or whose noise, where
 # it is inferred, is larger, relative.
-_UNEXPLAINED, _NOISY = 1e-3, 0.05
+UNEXPLAINED, _NOISY = 1e-3, 0.05
 # Difference of emcee and importance sampling that a reader should hear of, in standard errors: the largest
 # of a hundred moments of each of twenty classes exceeds it once in hundreds of times.
 _DISAGREE = 5.0
@@ -65,7 +65,7 @@ def _of_fit(result: StackingPosterior, fit: BestFit) -> Iterator[Notice]:
     """Notices against all sequences, from the fit of the most probable one."""
     template = result.conditional.template
     complete = template.measurement.complete
-    if fit.p_value is not None and fit.p_value < _UNEXPLAINED:
+    if fit.p_value is not None and fit.p_value < UNEXPLAINED:
         yield Notice("no_sequence_explains", facts={"p": fit.p_value, "complete": complete})
     alone = int(np.isnan(fit.predicted).sum())
     if alone:

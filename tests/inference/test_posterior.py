@@ -25,7 +25,7 @@ from cpam_bayes.inference.posterior import (
 from cpam_bayes.inference.sampling import sample_posterior
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.mechanics.problem import Problem
-from cpam_bayes.parameters import ParameterSet, Uniform
+from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from cpam_bayes.plate import Measurement, Specimen, read_specimen
 from cpam_bayes.plate.laminate import CONSTANTS, through_thickness_poisson
 from tests.linear_model import LinearModel, measurement
@@ -80,6 +80,18 @@ def test_probabilities_of_missed_modes_and_false_peaks_are_the_files() -> None:
     x = np.array([[0.3, -0.2]])
     full = plate_posterior(LinearModel(), data, np.zeros(4)).log_likelihood(x)[0]
     assert posterior.log_likelihood(x)[0] == pytest.approx(full + 4 * np.log(0.7), abs=1e-6)
+
+
+def test_a_complete_list_without_its_third_mode_is_far_less_probable_than_an_incomplete_one() -> None:
+    model = LinearModel()
+    truth = model.predict(np.zeros((1, 2))).frequencies[0]
+    kept = np.delete(truth, 2)
+    gaps = Measurement(kept, 0.0, 0.005, None, ("",) * 3, complete=False)
+    full = Measurement(kept, 0.0, 0.005, None, ("",) * 3, complete=True)
+    error = np.zeros(4)
+    x = np.zeros((1, 2))
+    assert plate_posterior(model, gaps, error).log_likelihood(x) > -20.0
+    assert plate_posterior(model, full, error).log_likelihood(x) < -1000.0
 
 
 @dataclass(frozen=True)
@@ -197,6 +209,16 @@ def test_every_scale_has_every_shape(likelihood: Likelihood, amplitude: float, n
     assert log_likelihood(likelihood, nu, amplitude) == pytest.approx(expected.sum(), abs=1e-12)
 
 
+def test_absolute_noise_of_known_size_is_half_of_f_of_eq_7_over_its_variance() -> None:
+    posterior = plate_posterior(LinearModel(), measurement(None), NONE, likelihood="absolute")
+    x = np.array([[0.3, -0.2, 2.0], [1.0, 0.4, 2.0]])
+    misfit = np.sum(
+        (LinearModel().predict(x[:, :2]).frequencies - measurement(None).frequencies) ** 2, axis=1
+    )
+    difference = np.diff(posterior.log_likelihood(x))[0]
+    assert difference == pytest.approx(-np.diff(misfit)[0] / (2 * 2.0**2), rel=1e-12)
+
+
 def test_rounding_and_the_solver_add_to_both_scales() -> None:
     data, error = measurement(None, resolution=2.0), np.array([0.0, 1e-3, 2e-3, 0.0])
     predicted = np.array([[100.0, 210.0, 290.0, 400.0]])
@@ -209,6 +231,8 @@ def test_rounding_and_the_solver_add_to_both_scales() -> None:
 def test_priors_of_both_amplitudes_are_one_at_the_root_mean_square_frequency() -> None:
     data = measurement(None)
     relative, absolute = (noise_model(data, NONE, scale).parameter for scale in ("relative", "absolute"))
+    assert isinstance(relative, Parameter)
+    assert isinstance(absolute, Parameter)
     assert (relative.name, relative.prior) == ("relative_std", NOISE_PRIOR)
     assert (absolute.name, absolute.unit) == ("absolute_sd", "Hz")
     rms = np.sqrt(np.mean(data.frequencies**2))
@@ -276,7 +300,7 @@ def test_the_reduced_model_changes_no_mean() -> None:
     # both models are compared on the same draws, so these need not be many
     brief = EnsembleSettings(walkers=24, round_steps=400, r_hat=1.1, effective=300.0, lengths=10.0)
     found = sample_posterior(own, 0, settings=brief, swarm_settings=SwarmSettings(20, 60)).draws
-    draws = found[np.linspace(0, len(found) - 1, 300).astype(int)]
+    draws = found[np.linspace(0, len(found) - 1, 800).astype(int)]
     log_weight = plate_posterior(model.full, listed, error).log_prob(draws) - own.log_prob(draws)
     weight = np.exp(log_weight - log_weight.max())
     weight /= weight.sum()

@@ -344,3 +344,12 @@ def test_an_oblique_edge_has_its_own_length_and_no_simple_support(tmp_path: Path
     oblique = plate(0.2, 0.15, 0.004, 1600.0, CARBON, (0.0,), "CFSF")
     with pytest.raises(ValueError, match=r"'x1' is simply supported but not one straight line of"):
         from_mesh(oblique, quads, tmp_path)
+
+
+def test_rules_of_edges_and_area_add_up_on_the_rectangle() -> None:
+    problem = plate(0.2, 0.15, 0.004, 1600.0, CARBON)
+    space = fem_space("FFFF", problem.nominal, 3, 2)
+    for region in (AREA, *(Region("edge", edge=edge) for edge in EDGES)):
+        rule = space.quadrature(region)
+        assert rule.weights.sum() == pytest.approx(1.0, rel=1e-12)
+        assert rule.points.shape == (len(rule.weights), 2)

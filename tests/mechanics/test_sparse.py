@@ -10,7 +10,7 @@ from scipy.sparse.linalg import splu
 from cpam_bayes.effects import add_known_mass
 from cpam_bayes.mechanics.dense import MATRICES, discretise
 from cpam_bayes.mechanics.fem import FemSpace, SparseBlock, SparseOperator, discretise_sparse, fem_space
-from cpam_bayes.mechanics.modes import describe_modes, solve
+from cpam_bayes.mechanics.modes import RigidBodyError, describe_modes, solve
 from cpam_bayes.mechanics.problem import PlateState, Problem, Values, bare_plate
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
@@ -180,3 +180,11 @@ def test_modes_have_the_kinds_and_labels_that_they_have_with_ritz() -> None:
     )
     assert [(a.kind, a.label) for a in first] == [(b.kind, b.label) for b in second]
     assert {a.kind for a in second} == {"bending", "in-plane"}
+
+
+def test_a_wrong_number_of_rigid_motions_is_found() -> None:
+    problem = plate(0.2, 0.2, 0.004, 1600.0, GLASS)
+    operator = discretise_sparse(problem, small(problem), {})
+    held = replace(operator, problem=replace(problem, edges="CFFF"))
+    with pytest.raises(RigidBodyError, match="leave 0 rigid-body motions"):
+        spectrum_of(held, {}, 3)

@@ -27,6 +27,7 @@ from cpam_bayes.questions.paper.rows import (
     Judged,
     Row,
 )
+from cpam_bayes.stacking.notices import UNEXPLAINED
 from cpam_bayes.stacking.symmetry import ANGLE_MOTIONS, plane_motions
 
 PRINTED_GROUPS: Final = 10
@@ -41,8 +42,6 @@ _DRAWS: Final = 2000
 _CHANCE: Final = 0.05
 # Standard deviations that a one-sided normal distribution exceeds with this chance.
 _BEYOND_CHANCE: Final = 1.645
-# Predictive p-value of the most probable layup below which none explains a list.
-_UNEXPLAINED: Final = 0.001
 
 
 def motions_of(specimen: str) -> tuple[str, ...]:
@@ -306,7 +305,7 @@ def _weighed_angles(rows: Sequence[Row]) -> str:
 
 def _explained_by_none(weighed: Sequence[Row]) -> str:
     """Lists that no layup explains at their noise: what they tell is of another plate."""
-    odd = [row for row in weighed if (row.details["p_value"] or 0.0) < _UNEXPLAINED]
+    odd = [row for row in weighed if (row.details["p_value"] or 0.0) < UNEXPLAINED]
     if not odd:
         return ""
     which = [f"{row.specimen} at {row.source} (p = {row.details['p_value']:.1g})" for row in odd]

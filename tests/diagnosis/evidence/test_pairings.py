@@ -162,6 +162,12 @@ def test_a_labelled_frequency_keeps_its_mode_and_the_others_are_summed_over() ->
         assert evidence(found, name) == pytest.approx(exact(f, name, labels), abs=TOLERANCE)
 
 
+def test_a_wrong_label_is_believed() -> None:
+    f = gappy(false=())
+    found = weigh([plate(f, {0: 1})], of_one(NOTHING), sets=False)
+    assert {int(t.cases[0].modes[0]) for t in found.tested} == {1}
+
+
 def test_a_misread_frequency_of_an_incomplete_list_is_found() -> None:
     f = gappy(0.0, (5,), ())
     f[2] *= 1.06
