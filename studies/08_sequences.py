@@ -3,11 +3,11 @@
 python studies/08_sequences.py [--quick] [--only NAME ...] [--workers N] [--executor SPEC]
 
 Every case of Table 9(b): the posterior over all sequences on the grid of 5 degrees, the constants
-marginalised, from the printed list with its noise inferred. Two cases with two unknown angles besides, which
-need no surrogate. Then the list of C1's true sequence and reference constants, noise-free, with smaller
-and smaller noise stated: the probability of its class. Then what two to six unknown angles cost, on the plate
-of F1 with the list of its own sequence. Every case is saved as soon as it is done, and those that were saved
-before are kept.
+marginalised within the bounds of the paper, from the printed list with its noise inferred. Two cases
+with two unknown angles besides, which need no surrogate. Then the list of C1's true sequence and reference
+constants, noise-free, with smaller and smaller noise stated: the probability of its class. Then what two to
+six unknown angles cost, on the plate of F1 with the list of its own sequence. Every case is saved as soon as
+it is done, and those that were saved before are kept.
 """
 
 from __future__ import annotations
@@ -108,8 +108,8 @@ def run(
 
 
 def case_specimen(name: str, step_deg: float | None = None) -> Specimen:
-    """A case by its name, if wanted on another grid of angles."""
-    return with_unknown_layup(*TWO_ANGLES.get(name, (name, None)), step_deg)
+    """A case by its name, its sizes exact as in the paper; if wanted on another grid of angles."""
+    return with_unknown_layup(*TWO_ANGLES.get(name, (name, None)), step_deg).with_exact_sizes()
 
 
 def _case(

@@ -43,7 +43,9 @@ STORED = Path(cb.__file__).parent / "data" / "paper" / "computed"
 KEYS = {
     "quick": "whether this is the small version",
     "paper": "the document of `cpam-bayes paper --json`",
+    "computations": "one each: title, and fingerprint of the code that did it",
 }
+COMPUTED_BY = "cpam_bayes.questions.paper.work"
 SEED = 0
 # By which version and when the studies were run that the package's stored results are taken from.
 RUNS = {
@@ -57,8 +59,14 @@ RUNS = {
 def run(quick: bool, executor: str | None = "serial", workers: int | None = None) -> Results:
     """All tables; quick: Table 7 with the small effort."""
     numbers = (7,) if quick else NUMBERS
-    tasks = computed(quick, False, executor, workers)
-    return {"quick": quick, "paper": compared(numbers, tasks, seed=SEED, quick=quick).to_dict()}
+    return judged(quick, numbers, computed(quick, False, executor, workers))
+
+
+def judged(quick: bool, numbers: tuple[int, ...], tasks: Tasks) -> Results:
+    """What is saved of finished computations."""
+    done = [{"case": task.title, "fingerprint": found["fingerprint"]} for task, found in tasks.items()]
+    document = compared(numbers, tasks, seed=SEED, quick=quick).to_dict()
+    return {"quick": quick, "paper": document, "computations": done}
 
 
 def computed(quick: bool, missing: bool, executor: str | None, workers: int | None) -> Tasks:
@@ -78,7 +86,7 @@ def from_package() -> Results:
     packaged.cache_clear()
     tasks = dict.fromkeys(task for number in NUMBERS for task in tasks_of(number, SEED))
     found = {task: results for task in tasks if (results := comes_with_the_package(task)) is not None}
-    return {"quick": False, "paper": compared(NUMBERS, found, seed=SEED).to_dict()}
+    return judged(False, NUMBERS, found)
 
 
 def sections(results: Results) -> dict[str, str]:
@@ -194,11 +202,7 @@ def main() -> None:
         content = {"seed": SEED, "tasks": {task.title: results for task, results in tasks.items()}}
         save_results(STORED / "tasks.json", content)
     saved = from_package()
-    if args.page or args.missing:
-        # of other sources than today's: each computation has its own fingerprint
-        RESULTS.write_text(json.dumps(saved, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    else:
-        save_results(RESULTS, saved)
+    save_results(RESULTS, saved)
     write_sections(FOLDER.parent, RESULTS.stem, sections(saved))
     (FOLDER.parent / "docs" / "comparison.csv").write_text(rows_file(saved), encoding="utf-8", newline="")
 

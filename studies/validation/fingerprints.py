@@ -1,5 +1,8 @@
 """Which state of the code computed a result: fingerprints of cases, and that of a study by its oldest case.
 
+A study whose cases one module of the package computes names it, `COMPUTED_BY`: how they are judged and shown
+is then no part of the fingerprint.
+
 A row of a study's results keeps under "fingerprint" that of the code that computed it, from when it was
 computed. `LEDGER` has one a study: today's if all its rows have it, or if none has any and all was computed
 at once; else the first of another state. Rows that were saved without one have what is recorded of their
@@ -11,6 +14,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
+import re
 import sys
 from collections.abc import Iterator
 from functools import cache
@@ -18,7 +22,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import cpam_bayes
-from cpam_bayes.fingerprint import fingerprint_of_script
+from cpam_bayes.fingerprint import fingerprint, fingerprint_of_script
 
 STUDIES: Final = Path(__file__).parents[1]
 LEDGER = STUDIES / "results" / "fingerprints.json"
@@ -27,6 +31,7 @@ UNKNOWN: Final = "unknown"
 
 # How results are kept and written is no part of what computes them.
 _KEEPING: Final = frozenset({"fingerprints", "reporting"})
+_COMPUTED_BY: Final = re.compile(r'^COMPUTED_BY = "([\w.]+)"$', re.MULTILINE)
 _OF_NOTHING: Final = hashlib.sha256().hexdigest()[:12]
 
 
@@ -36,6 +41,9 @@ def fingerprint_of_study(name: str) -> str:
 
     They are read once: sources that are changed while a study runs are not those that compute it.
     """
+    named = _COMPUTED_BY.search((STUDIES / f"{name}.py").read_text("utf-8"))
+    if named:
+        return fingerprint(named[1])
     scripts = _scripts(STUDIES / f"{name}.py")
     found = {fingerprint_of_script(script, cpam_bayes._PUBLIC) for script in scripts}
     return "+".join(sorted(found - {_OF_NOTHING}))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from cpam_bayes.inference.derivatives import NormalScores
 from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.running import single_blas_thread
 
@@ -19,47 +20,52 @@ Array = NDArray[Any]
 _NOTHING = -1e300
 
 
-def _sampled(
-    batched: Callable[[Array], Array],
-    from_cube: Callable[[Array], Array],
+@single_blas_thread
+def nested_of_scores(
+    log_likelihood: Callable[[Array], Array],
+    scores: NormalScores,
     n: int,
     rng: np.random.Generator,
-    live_points: int,
-    batch: int,
-) -> Any:
-    """What dynesty says of a likelihood of stacks of points (m, n) that are drawn from the unit cube."""
+    *,
+    live_points: int = 200,
+    batch: int = 32,
+    sample: str = "rslice",
+) -> tuple[float, float]:
+    """The log evidence of a likelihood of stacks of parameters (m, n), and its error by nested sampling.
+
+    The cube is the prior: z = Phi^-1(u), by which scores are standard normal.
+
+    sample : how dynesty draws points above a likelihood, "rslice" along random directions, "unif" from
+        ellipsoids about the live points, quicker where parameters are few.
+    """
     import dynesty
+
+    def batched(z: Array) -> Array:
+        values = log_likelihood(scores.to_x(z))
+        return np.where(np.isfinite(values), values, _NOTHING)
 
     lockstep = Lockstep(batched, batch)
     sampler = dynesty.NestedSampler(
         lockstep.value,
-        from_cube,
+        ndtri,
         n,
         nlive=live_points,
-        sample="rslice",
+        sample=sample,
         pool=lockstep,
         queue_size=batch,
         rstate=rng,
     )
     sampler.run_nested(dlogz=0.01, print_progress=False)
-    return sampler.results
+    return float(sampler.results.logz[-1]), float(sampler.results.logzerr[-1])
 
 
-@single_blas_thread
 def nested_of_density(
-    density: LogDensity, rng: np.random.Generator, *, live_points: int = 200, batch: int = 32
+    density: LogDensity, rng: np.random.Generator, *, live_points: int = 200
 ) -> tuple[float, float]:
-    """The log evidence of a log density over normal scores, and its error by nested sampling itself.
-
-    The cube is the prior: z = Phi^-1(u), by which scores are standard normal.
-    """
-
-    def batched(z: Array) -> Array:
-        values = density.log_likelihood(density.scores.to_x(z))
-        return np.where(np.isfinite(values), values, _NOTHING)
-
-    results = _sampled(batched, ndtri, density.parameters.size, rng, live_points, batch)
-    return float(results.logz[-1]), float(results.logzerr[-1])
+    """The log evidence of a log density over normal scores, and its error by nested sampling itself."""
+    return nested_of_scores(
+        density.log_likelihood, density.scores, density.parameters.size, rng, live_points=live_points
+    )
 
 
 class Lockstep:
