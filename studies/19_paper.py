@@ -52,7 +52,7 @@ RUNS = {
     "02_agreement": {"version": "0.1.0", "date": "2026-11-21"},
     "07_fpso": {"version": "0.1.0", "date": "2026-11-22"},
     "08_sequences": {"version": "0.1.0", "date": "2026-11-22"},
-    "12_findings": {"version": "0.2.0", "date": "2026-11-27"},
+    "12_findings": {"version": "0.2.0", "date": "2026-11-28"},
 }
 
 
@@ -108,14 +108,18 @@ def _results(study: str) -> Any:
     return json.loads((FOLDER / "results" / f"{study}.json").read_text("utf-8"))
 
 
+def _seconds(each: dict[str, float]) -> Results:
+    """Of all plates, and of each."""
+    return {"seconds": sum(each.values()), "seconds_each": each}
+
+
 def _calculix() -> Results:
     specimens = _results("02_agreement")["specimens"]
     plates = {row["plate"]: row for row in specimens if row["bricks"] is not None}
     return {
         **RUNS["02_agreement"],
         "command": "python studies/02_agreement.py",
-        "seconds": sum(row["bricks"]["seconds"] for row in plates.values()),
-        "seconds_each": {name: row["bricks"]["seconds"] for name, row in plates.items()},
+        **_seconds({name: row["bricks"]["seconds"] for name, row in plates.items()}),
         "frequencies_hz": {
             name: [
                 f * (1.0 + d / 100.0)
@@ -132,7 +136,7 @@ def _sequences() -> Results:
     return {
         **RUNS["08_sequences"],
         "command": "python studies/08_sequences.py",
-        "seconds": sum(row["seconds"] for row in cases.values()),
+        **_seconds({name: row["seconds"] for name, row in cases.items()}),
         "cases": {
             name: {
                 **{key: row[key] for key in ("enumerated", "credible_95_count", "unaccounted")},
@@ -152,8 +156,11 @@ def _swarms() -> Results:
     return {
         **RUNS["07_fpso"],
         "command": "python studies/07_fpso.py",
-        "seconds": sum(
-            row["cost"]["solve_s"] * sum(run["evaluations"] for run in row["runs"]) for row in free.values()
+        **_seconds(
+            {
+                name: row["cost"]["solve_s"] * sum(run["evaluations"] for run in row["runs"])
+                for name, row in free.items()
+            }
         ),
         "cases": {
             name: {"angles_deg": [run["angles_deg"] for run in row["runs"]]} for name, row in free.items()
@@ -170,7 +177,7 @@ def _diagnoses() -> Results:
     return {
         **RUNS["12_findings"],
         "command": "python studies/12_findings.py",
-        "seconds": sum(row["seconds"] for row in diagnosed.values()),
+        **_seconds({name: row["seconds"] for name, row in diagnosed.items()}),
         "plates": {name: {**diagnosis_row(row), **frequency_scale(name)} for name, row in diagnosed.items()},
     }
 

@@ -26,6 +26,7 @@ from cpam_bayes.printed.tables import (
     PAPER,
     TABLES,
     PrintedTable,
+    identified_layups,
     percentage_checks,
     printed_table,
 )
@@ -66,6 +67,7 @@ from cpam_bayes.questions.paper.work import (
     packaged,
     read,
     rounding_percent,
+    seconds_of,
     sequence_cases,
     simulation_errors,
     stamp,
@@ -87,12 +89,12 @@ _STAMPED: Final = ("version", "fingerprint", "date", "seconds")
 # Thick plates take longest: they begin first, so that no worker starts one at the end, and their constants
 # before their noise, which needs a model that these build.
 _LONGEST: Final = ("D4", "D3", "D1", "D2")
-# Work that takes up to hours: what it is called, and the tables that it is for.
+# Work that takes up to hours, and what it is called.
 _SLOW: Final = {
-    "calculix": ("CalculiX, 20-node bricks", {1, 5}),
-    "diagnoses": ("diagnoses of the measured lists", {1, 5}),
-    "sequences": ("posteriors over stacking sequences", {9, 11, 12, 13, 14}),
-    "swarms": ("fuzzy swarms without noise", {11, 12, 13, 14}),
+    "calculix": "CalculiX, 20-node bricks",
+    "diagnoses": "diagnoses of the measured lists",
+    "sequences": "posteriors over stacking sequences",
+    "swarms": "fuzzy swarms without noise",
 }
 # Seconds of the small effort over those of the full one, by kind, of all tables; it searches no angles.
 _QUICK_SHARE: Final = {"forward": 0.1, "constants": 0.16, "noise": 0.19}
@@ -192,7 +194,7 @@ def paper(
         elements, no search of angles and constants together: shows that it works
     everything : compute anew what is stored, and what comes with the package, which takes hours
     executor, workers : as for `cb.sequence`
-    store : directory of finished computations; in the cache of reduced models where left out
+    store : directory of finished computations; in the cache where left out
     watch : display of the progress; none where left out
 
     Raises
@@ -220,17 +222,17 @@ def paper(
             return None
         return read(directory, effort, task) or (comes_with_the_package(task) if effort.full else None)
 
-    slow = _slow(numbers) if everything and not quick else ()
-    for name in slow:
-        watch.announce(f"{_SLOW[name][0]}: about {duration(packaged(name)['seconds'])} on one core")
+    slow = _slow(numbers) if everything and not quick else {}
+    for name, plates in slow.items():
+        watch.announce(f"{_SLOW[name]}: about {duration(seconds_of(packaged(name), plates))} on one core")
     computed = computations(numbers, effort, seed, known, directory, executor, workers, watch)
     anew = {
-        "calculix": lambda: calculix_frequencies(watch),
-        "diagnoses": lambda: diagnoses(seed, watch),
-        "sequences": lambda: sequence_cases(seed, executor, workers, watch),
-        "swarms": lambda: swarms_without_noise(effort, _WITH_ANGLES),
+        "calculix": lambda plates: calculix_frequencies(plates, watch),
+        "diagnoses": lambda plates: diagnoses(plates, seed, watch),
+        "sequences": lambda plates: sequence_cases(plates, seed, executor, workers, watch),
+        "swarms": lambda plates: swarms_without_noise(plates, effort),
     }
-    found = {name: anew[name]() for name in slow}
+    found = {name: anew[name](plates) for name, plates in slow.items()}
     seconds = time.perf_counter() - start
     return compared(numbers, computed, seed=seed, slow=found, quick=quick, seconds=seconds)
 
@@ -269,9 +271,8 @@ def compared(
         computed={
             **{task.title: _stamped(results) for task, results in computed.items()},
             **{
-                title: _stamped(stored[name])
-                for name, (title, tables) in _SLOW.items()
-                if tables & set(numbers)
+                _SLOW[name]: {**_stamped(stored[name]), "seconds": seconds_of(stored[name], plates)}
+                for name, plates in _behind(numbers).items()
             },
         },
         quick=quick,
@@ -417,10 +418,26 @@ def _ends(constants: Mapping[str, Mapping[str, Any]]) -> Iterable[str]:
     return dict.fromkeys(found)
 
 
-def _slow(numbers: Sequence[int]) -> tuple[str, ...]:
-    """Names of slow work behind some tables that can be done here."""
-    names = (name for name, (_, tables) in _SLOW.items() if tables & set(numbers))
-    return tuple(name for name in names if name != "calculix" or shutil.which("ccx") is not None)
+def _behind(numbers: Sequence[int]) -> dict[str, tuple[str, ...]]:
+    """Slow work behind some tables, by name, with the plates that it is for."""
+    found: dict[str, dict[str, None]] = {name: {} for name in _SLOW}
+    for number in numbers:
+        if number in (1, 5):
+            found["calculix"] |= dict.fromkeys(row.specimen for row in printed_table(number).rows)
+            measured = printed_table(1 if number == 1 else 4).rows
+            found["diagnoses"] |= dict.fromkeys(row.specimen for row in measured)
+        elif number == 9:
+            found["sequences"] |= dict.fromkeys(identified_layups())
+        elif _NOISE.get(number) in _WITH_ANGLES:
+            found["sequences"] |= {_NOISE[number]: None}
+            found["swarms"] |= {_NOISE[number]: None}
+    return {name: tuple(plates) for name, plates in found.items() if plates}
+
+
+def _slow(numbers: Sequence[int]) -> dict[str, tuple[str, ...]]:
+    """The part of it that can be done here."""
+    here = _behind(numbers)
+    return {name: of for name, of in here.items() if name != "calculix" or shutil.which("ccx") is not None}
 
 
 def _stamped(results: Mapping[str, Any]) -> dict[str, str | float]:

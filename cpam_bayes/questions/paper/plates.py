@@ -126,8 +126,15 @@ def _left_out(error: Record) -> str | None:
     return f"{signed(error['held_out'], 0)} +- {error['held_out_se']:.0f}"
 
 
+def claimed(error: Record) -> str:
+    """The claim with the names of its causes."""
+    causes = ", ".join(error["causes"])
+    return f"{error['claim']}: {causes}" if causes else str(error["claim"])
+
+
 _DIAGNOSED: Final = (
     Column("plate", "specimen", itemgetter("specimen")),
+    Column("claim", None, claimed),
     Column("left %", "plain_rms_percent", itemgetter("plain_rms_percent"), _TWO_DIGITS, True),
     Column("left % with it", "extended_rms_percent", itemgetter("extended_rms_percent"), _TWO_DIGITS, True),
     Column("log Bayes factor", "log_bayes_factor", itemgetter("log_bayes_factor"), "{:.0f}".format, True),

@@ -13,7 +13,7 @@ from typing import Any, Final
 from cpam_bayes.formatting import listed, signed, significant
 from cpam_bayes.printed.tables import AGREEMENTS
 from cpam_bayes.questions.paper.drawings import OF_THE_PAPER, drawings
-from cpam_bayes.questions.paper.plates import diagnosed, wrong_plates
+from cpam_bayes.questions.paper.plates import claimed, diagnosed, wrong_plates
 from cpam_bayes.questions.paper.rows import (
     AGREES,
     BUILT_IN,
@@ -61,6 +61,12 @@ def _ours(row: Record) -> str | None:
     return None if ours is None else significant(ours, 5 if row["table"] in _FREQUENCY_TABLES else 4)
 
 
+def _printed(row: Record) -> str:
+    """As printed, angles as ours are written."""
+    text: str = row["printed_text"]
+    return text.strip("[]").replace(", ", "/") if row["quantity"] == "angles_deg" else text
+
+
 def _plain_ours(row: Record) -> float | str | None:
     """Angles as one text, for a file of rows."""
     ours: float | list[float] | None = row["ours"]
@@ -79,7 +85,7 @@ _VALUES: Final = (
     _of("source", "by"),
     _of("quantity", "quantity"),
     _of("printed"),
-    _shown("printed", itemgetter("printed_text"), number=True),
+    _shown("printed", _printed, number=True),
     Column(None, "ours", _plain_ours),
     _shown("ours", _ours, number=True),
     _of("difference_percent", "difference %", _ONE_DECIMAL, number=True),
@@ -183,7 +189,7 @@ _SIMULATION: Final = (
     _of("sentence"),
     _of("causes"),
     _of("sizes"),
-    _shown("claim", lambda e: f"{e['claim']}: {', '.join(e['causes'])}" if e["causes"] else e["claim"]),
+    _shown("claim", claimed),
     _of("probability", "probability", "{:.2f}".format, number=True),
     _of("extended_rms_percent", "extended rms %", _THREE_DIGITS, number=True),
     _of("log_bayes_factor", "log Bayes factor", _ONE_DECIMAL, number=True),
@@ -291,6 +297,7 @@ def report_of(document: Record, slips: tuple[str, ...], cautions: tuple[str, ...
             lines=(
                 *document["disagreements"][:1],
                 *(("Computed with --quick: do not quote these numbers.",) if document["quick"] else ()),
+                *_of_angles(document),
                 *_when(document),
             ),
             next_step=_WHY if any(map(_is_disputed, document["rows"])) else "",
@@ -358,14 +365,40 @@ def _headline(document: Record) -> str:
     of = f"Table {numbers[0]}" if len(numbers) == 1 else f"{len(numbers)} tables"
     if not computed:
         return f"{of} holds inputs only: {counts[INPUT]} printed values, nothing to be computed."
-    within = f", {counts[WITHIN]} lie within the 95 % interval or set" if counts[WITHIN] else ""
-    missing = f", {counts[NOT_COMPUTED]} were not computed" if counts[NOT_COMPUTED] else ""
-    untold = f", {counts[UNTOLD]} cannot be told apart" if counts[UNTOLD] else ""
-    unknown = f", {counts[UNDETERMINED]} are not determined" if counts[UNDETERMINED] else ""
-    return (
-        f"{counts[AGREES]} of {computed} printed values of {of} agree{within}{untold}{unknown}, "
-        f"{counts[NOT_REPRODUCIBLE]} are not reproducible{missing}."
+    agree = (
+        f"{counts[AGREES]} of {computed} printed values of {of} {_verb(counts[AGREES], 'agrees', 'agree')}"
     )
+    others = (
+        (WITHIN, "lies", "lie", "within the 95 % interval or set"),
+        (UNTOLD, "cannot", "cannot", "be told apart"),
+        (UNDETERMINED, "is", "are", "not determined"),
+        (NOT_REPRODUCIBLE, "is", "are", "not reproducible"),
+        (NOT_COMPUTED, "was", "were", "not computed"),
+    )
+    said = [
+        f"{counts[kind]} {_verb(counts[kind], one, many)} {what}"
+        for kind, one, many, what in others
+        if counts[kind] or kind == NOT_REPRODUCIBLE
+    ]
+    return f"{', '.join((agree, *said))}."
+
+
+def _verb(n: int, one: str, many: str) -> str:
+    return one if n == 1 else many
+
+
+def _of_angles(document: Record) -> Iterator[str]:
+    """What ours and the intervals are of in a table with angles of noisy lists."""
+    if len(document["tables"]) == 1 and any(map(_has_spread, document["rows"])):
+        yield (
+            "Free disorder: constants of the known layup. Below it ours are means of ten lists, angles sought too, and "
+            "intervals are over all layups of one list."
+        )
+
+
+def _has_spread(row: Record) -> bool:
+    """Whether a row has the scatter of angles over noisy lists."""
+    return "spread_1_deg" in row["details"]
 
 
 def _when(document: Record) -> Iterator[str]:
@@ -512,7 +545,7 @@ def _noise_lines(document: Record) -> Iterator[str]:
     if not texts:
         return
     yield from ("## What means of ten can show", "", *(f"{text}\n" for text in texts))
-    rows = tuple(row for row in document["rows"] if "spread_1_deg" in row["details"])
+    rows = tuple(filter(_has_spread, document["rows"]))
     if rows:
         yield from ("Plies from the outermost to the innermost:", "")
         yield from _markdown(Rows("angles", _NOISY_ANGLES, rows))

@@ -329,9 +329,9 @@ def not_determined(rows: Sequence[Row]) -> str:
     of = Counter(r.quantity for r in within)
     counts = ", ".join(f"{name.partition('_')[0]} {n} of {of[name]}" for name, n in each.most_common())
     return (
-        f"Of {len(within)} constants within the posterior {len(wide)} are not determined: their 95 % "
-        f"interval spans more than {100.0 * _UNDETERMINED:.0f} % of the bounds ({counts}), so that hardly a "
-        "printed value could lie outside."
+        f"Of {len(within)} constants within the posterior {len(wide)} say nothing: their 95 % interval spans "
+        f"more than {100.0 * _UNDETERMINED:.0f} % of the bounds ({counts}), so that hardly a printed value "
+        "could lie outside."
     )
 
 

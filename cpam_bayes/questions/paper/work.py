@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, EnsembleSettings
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.plate import Specimen, builtin, read_plate, to_si, to_user, user_name
 from cpam_bayes.printed.noise_study import ENSEMBLE_SETTINGS
-from cpam_bayes.printed.tables import PrintedRow, identified_layups, printed_table
+from cpam_bayes.printed.tables import PrintedRow, printed_table
 from cpam_bayes.questions.diagnose import diagnose
 from cpam_bayes.questions.forward import forward
 from cpam_bayes.questions.identify.emcee import SampledResult, sample
@@ -589,46 +589,54 @@ def _path(directory: Path, effort: Effort, task: Task) -> Path:
     return directory / f"{task_key(effort, task)}.results"
 
 
-def calculix_frequencies(watch: Watch) -> dict[str, Any]:
-    """Frequencies of the plates of Tables 1 and 5 by 20-node bricks, Hz, and seconds of each."""
-    computed, seconds = {}, {}
-    for name in dict.fromkeys(row.specimen for number in (1, 5) for row in printed_table(number).rows):
+T = TypeVar("T")
+
+
+def _of_each(key: str, names: Sequence[str], of: Callable[[str], T]) -> dict[str, Any]:
+    """What some plates give, by name under a key, with the seconds of each and of all."""
+    found, seconds = {}, {}
+    for name in names:
         start = time.perf_counter()
-        computed[name] = forward(name, solver="ccx", watch=watch).frequencies.tolist()
+        found[name] = of(name)
         seconds[name] = time.perf_counter() - start
-    return stamp({"seconds": sum(seconds.values()), "seconds_each": seconds, "frequencies_hz": computed})
+    return stamp({"seconds": sum(seconds.values()), "seconds_each": seconds, key: found})
 
 
-def diagnoses(seed: int, watch: Watch) -> dict[str, Any]:
-    """Diagnoses of the measured lists of Tables 1 and 4."""
-    start = time.perf_counter()
-    names = dict.fromkeys(row.specimen for number in (1, 4) for row in printed_table(number).rows)
-    answers = {name: diagnose(name, seed=seed, next_test="never", watch=watch) for name in names}
-    plates = {
-        name: {**diagnosis_row(answer.to_dict()), **frequency_scale(name)} for name, answer in answers.items()
-    }
-    return stamp({"seconds": time.perf_counter() - start, "plates": plates})
+def seconds_of(stored: Mapping[str, Any], names: Sequence[str]) -> float:
+    """What these plates took of the work of `calculix_frequencies` and the like."""
+    return sum(stored["seconds_each"].get(name, 0.0) for name in names)
 
 
-def sequence_cases(seed: int, executor: str, workers: int | None, watch: Watch) -> dict[str, Any]:
-    """The posterior over stacking sequences of every specimen of Table 9(b)."""
-    start = time.perf_counter()
-    cases = {
-        name: layup_case(
-            sequence(bounds_alone(name), seed=seed, executor=executor, workers=workers, watch=watch)
-        )
-        for name in identified_layups()
-    }
-    return stamp({"seconds": time.perf_counter() - start, "cases": cases})
+def calculix_frequencies(names: Sequence[str], watch: Watch) -> dict[str, Any]:
+    """Frequencies of plates by 20-node bricks, Hz."""
+    return _of_each(
+        "frequencies_hz", names, lambda name: forward(name, solver="ccx", watch=watch).frequencies.tolist()
+    )
+
+
+def diagnoses(names: Sequence[str], seed: int, watch: Watch) -> dict[str, Any]:
+    """Diagnoses of the measured lists of plates."""
+
+    def of(name: str) -> dict[str, Any]:
+        answer = diagnose(name, seed=seed, next_test="never", watch=watch)
+        return {**diagnosis_row(answer.to_dict()), **frequency_scale(name)}
+
+    return _of_each("plates", names, of)
+
+
+def sequence_cases(
+    names: Sequence[str], seed: int, executor: str, workers: int | None, watch: Watch
+) -> dict[str, Any]:
+    """The posterior over the stacking sequences of specimens of Table 9(b)."""
+    options = {"seed": seed, "executor": executor, "workers": workers, "watch": watch}
+    return _of_each("cases", names, lambda name: layup_case(sequence(bounds_alone(name), **options)))
 
 
 # Fuzzy swarms on each measured list, of different seeds.
 _FREE_SWARMS: Final = 20
 
 
-def swarms_without_noise(effort: Effort, names: Sequence[str]) -> dict[str, Any]:
-    """Angles that fuzzy swarms end at on the measured lists of some plates."""
-    start = time.perf_counter()
+def swarms_without_noise(names: Sequence[str], effort: Effort) -> dict[str, Any]:
+    """Angles that fuzzy swarms end at on the measured lists of plates."""
     seeds = range(_FREE_SWARMS)
-    cases = {name: searched_without_noise(name, seeds, effort.swarm) for name in names}
-    return stamp({"seconds": time.perf_counter() - start, "cases": cases})
+    return _of_each("cases", names, lambda name: searched_without_noise(name, seeds, effort.swarm))

@@ -5,6 +5,7 @@ import csv
 import importlib.util
 import json
 import re
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,7 @@ from cpam_bayes.questions.paper.work import (
     write,
 )
 from cpam_bayes.render.report import csv_text
+from cpam_bayes.render.terminal import duration
 from cpam_bayes.running import SILENT
 from tests.answers import table_7
 from tests.plate_file import Run
@@ -143,7 +145,43 @@ def test_it_says_at_once_how_long_the_computations_take(tmp_path: Path) -> None:
     # the packaged computations of Table 9 took 6 min 56 s; the small effort took 78 s of a processor
     assert said.lines == ["10 computations, about 7 min on one core; finished ones are kept"]
     assert quick.lines == ["10 computations, about 2 min on one core; finished ones are kept"]
-    assert all_of_it.lines[0].startswith("posteriors over stacking sequences: about 3 h")
+    each = packaged("sequences")["seconds_each"]
+    whole = f"posteriors over stacking sequences: about {duration(sum(each.values()))} on one core"
+    assert all_of_it.lines[0] == whole
+
+
+@pytest.mark.parametrize(
+    ("number", "plates"),
+    [
+        (2, {}),
+        (1, {"calculix": ("D&G",), "diagnoses": ("D&G",)}),
+        (10, {}),
+        (13, {"sequences": ("D1",), "swarms": ("D1",)}),
+    ],
+)
+def test_all_of_one_table_is_of_its_plates_alone(number: int, plates: dict[str, tuple[str, ...]]) -> None:
+    assert module._behind((number,)) == plates
+    spent = {name: packaged(name)["seconds_each"] for name in plates}
+    computed = cb.paper(number).computed
+    for name, of in plates.items():
+        assert computed[module._SLOW[name]]["seconds"] == pytest.approx(sum(spent[name][p] for p in of))
+
+
+def test_one_value_is_and_many_are() -> None:
+    headline = cb.paper(11).report().summary.headline
+    verdicts = Counter(row.verdict for row in cb.paper(11).rows)
+    for kind in ("not determined", "not reproducible"):
+        n = verdicts[kind]
+        assert f" {n} {'is' if n == 1 else 'are'} {kind}" in " ".join(headline.split())
+
+
+def test_printed_angles_are_written_as_ours() -> None:
+    (table,) = cb.paper(11).report().summary.tables
+    assert table.headings is not None
+    place = [table.headings.index(name) for name in ("printed", "ours")]
+    angles = [[row[i] for i in place] for row in table.rows if "angles_deg" in row]
+    assert len(angles) == 4
+    assert all(re.fullmatch(r"-?[\d.]+(/-?[\d.]+){3}", text) for pair in angles for text in pair)
 
 
 def test_a_stored_file_that_is_damaged_or_of_other_effort_is_passed_over(tmp_path: Path) -> None:
