@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cpam_bayes.inference.sampling import command_of_draws
+from cpam_bayes.questions.identify.pso import identify
 from cpam_bayes.questions.sequence import StackingResult, stacking_result
 from cpam_bayes.render.files import save, staging
 from cpam_bayes.render.report import Table
@@ -36,6 +37,18 @@ def work(result: StackingResult) -> dict[str, str]:
 
 
 SMALL = StackingSettings(draws=30, listed=12, log2_points=6)
+
+
+def test_an_error_of_a_size_does_to_the_constants_what_identify_says_of_the_most_probable_layup() -> None:
+    result = stacking_result(answer(), mixture(), None, 0, 5)
+    known = result.most_probable
+    # the posterior over layups here has no references
+    alone = replace(known, material=replace(known.material, known=False))
+    identified = identify(alone, seed=1, residuals="relative").estimate.scale_errors
+    assert [e.name for e in result.scale_errors] == [e.name for e in identified]
+    for one, other in zip(result.scale_errors, identified, strict=True):
+        if one.name not in ("length", "width"):  # their powers are those at the optimum, which are not one
+            assert one.shift == pytest.approx(other.shift, abs=0.005)
 
 
 def test_the_document_has_what_the_contract_names() -> None:

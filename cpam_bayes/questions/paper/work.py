@@ -628,8 +628,12 @@ def sequence_cases(
     names: Sequence[str], seed: int, executor: str, workers: int | None, watch: Watch
 ) -> dict[str, Any]:
     """The posterior over the stacking sequences of specimens of Table 9(b)."""
-    options = {"seed": seed, "executor": executor, "workers": workers, "watch": watch}
-    return _of_each("cases", names, lambda name: layup_case(sequence(bounds_alone(name), **options)))
+
+    def of(name: str) -> dict[str, Any]:
+        specimen = bounds_alone(name)
+        return layup_case(sequence(specimen, seed=seed, executor=executor, workers=workers, watch=watch))
+
+    return _of_each("cases", names, of)
 
 
 # Fuzzy swarms on each measured list, of different seeds.
