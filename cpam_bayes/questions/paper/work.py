@@ -604,7 +604,7 @@ def _of_each(key: str, names: Sequence[str], of: Callable[[str], T]) -> dict[str
 
 def seconds_of(stored: Mapping[str, Any], names: Sequence[str]) -> float:
     """What these plates took of the work of `calculix_frequencies` and the like."""
-    return sum(stored["seconds_each"].get(name, 0.0) for name in names)
+    return float(sum(stored["seconds_each"].get(name, 0.0) for name in names))
 
 
 def calculix_frequencies(names: Sequence[str], watch: Watch) -> dict[str, Any]:
