@@ -23,7 +23,7 @@ from cpam_bayes.diagnosis.evidence.marginal import Tested
 from cpam_bayes.diagnosis.hypotheses import NONE
 from validation.evidence_lists import listed, weighed
 from validation.nested import nested_of_density
-from validation.reporting import case_by_case
+from validation.reporting import case_by_case, paragraph, write_sections
 
 Results = dict[str, Any]
 
@@ -89,6 +89,7 @@ def summary(cases: list[Results]) -> Results:
         "agreed": int(np.sum(np.abs(difference) <= AGREED_NATS + 2.0 * error)),
         "mean_difference": round(float(difference.mean()), 3) if rows else None,
         "largest_difference": round(float(np.abs(difference).max()), 3) if rows else None,
+        "error_of_mean": round(float(np.sqrt(np.sum(error**2)) / len(rows)), 3) if rows else None,
         "mean_error": round(float(error.mean()), 3) if rows else None,
         "rms_over_error": round(float(np.sqrt(np.mean(z**2))), 2) if rows else None,
     }
@@ -112,6 +113,19 @@ def as_results(rows: list[Results], *, quick: bool) -> Results:
     return {"quick": quick, "live_points": points, "summary": summary(rows), "cases": rows}
 
 
+def sections(results: Results) -> dict[str, str]:
+    """What docs/theory.md says of evidences."""
+    of = results["summary"]
+    return {
+        "agreement": paragraph(
+            f"Of {of['compared']} evidences of hypotheses near the best of {of['cases']} simulated lists "
+            f"{of['agreed']} are those of nested sampling ({results['live_points']} live points) to "
+            f"{AGREED_NATS:g} nats and two standard errors of both; the mean difference is "
+            f"{of['mean_difference']:+.3f} ± {of['error_of_mean']:.3f} nats."
+        )
+    }
+
+
 def main() -> None:
     """Run the cases that are not saved yet."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
@@ -119,7 +133,10 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=CASES, help="lists in all")
     parser.add_argument("--minutes", type=float, default=np.inf, help="no further list is begun after these")
     options = parser.parse_args()
-    print(run(options.quick, options.cases, options.minutes, None if options.quick else RESULTS)["summary"])
+    found = run(options.quick, options.cases, options.minutes, None if options.quick else RESULTS)
+    print(found["summary"])
+    if not options.quick:
+        write_sections(Path(__file__).parents[1], RESULTS.stem, sections(found))
 
 
 if __name__ == "__main__":

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import cpam_bayes as cb
 from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.model import angle_parameters, reference_vector, training_sets
 from cpam_bayes.forward_model.reduced import ReducedModel, focused
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.sampling import importance_evidence as known_evidence
 from cpam_bayes.parallel import open_executor
-from cpam_bayes.plate import Specimen, builtin
+from cpam_bayes.plate import Specimen, builtin, read_plate
 from cpam_bayes.stacking import conditional as sequence_importance
 from cpam_bayes.stacking.conditional import (
     ConditionalPosterior,
@@ -22,10 +23,12 @@ from cpam_bayes.stacking.conditional import (
 )
 from cpam_bayes.stacking.evaluation import NEAR
 from cpam_bayes.stacking.posterior import common_starts, stacking_posterior, stacking_problem
+from cpam_bayes.stacking.queries import given_layup
 from cpam_bayes.stacking.records import DEFAULT_SETTINGS, StackingPosterior, StackingSettings
 from cpam_bayes.stacking.search import noisier_seeds
 from cpam_bayes.stacking.symmetry import all_sequences, classes, members
 from cpam_bayes.stacking.training import TrainingSettings
+from tests.hybrids import hybrid
 from tests.stacking.cases import TRUE, listed
 
 QUICK = StackingSettings(draws=50, listed=72, log2_points=7)
@@ -164,6 +167,25 @@ def test_the_surrogate_does_not_depend_on_the_number_of_workers(
     np.testing.assert_array_equal(again.probability, surrogate.probability)
     np.testing.assert_array_equal(again.marginals, surrogate.marginals)
     np.testing.assert_array_equal(again.drawn.conditionals.draws, surrogate.drawn.conditionals.draws)
+
+
+@pytest.mark.slow
+def test_of_a_hybrid_the_sequence_and_a_modulus_of_each_material_are_found() -> None:
+    # glass inside carbon, its plies at 45 and -45 degrees; off 0 and 90 a mirror image cannot be told apart
+    truth, asked = hybrid(), hybrid(layup="[c0_2/g?/g?/c90]_s")
+    f = cb.forward(truth, n_modes=8).frequencies
+    asked["unknowns"] = {
+        "angle_grid_deg": 45.0,
+        "carbon": {"E1_GPa": [80.0, 200.0]},
+        "glass": {"E1_GPa": [20.0, 80.0]},
+    }
+    asked["measurement"] = {"frequencies_hz": [round(float(v), 2) for v in f], "relative_std": 0.002}
+    answer = stacking_posterior(read_plate(asked), 0, settings=QUICK)
+    assert answer.enumerated == 4**2
+    found = given_layup(answer, np.array([45.0, -45.0]))
+    assert found.index == 0
+    assert found.probability * answer.multiplicity[0] > 0.999
+    assert found.fits.x[0] / 1e9 == pytest.approx([121.2, 40.1], rel=2e-3)
 
 
 @pytest.mark.slow
