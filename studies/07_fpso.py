@@ -480,8 +480,7 @@ def _remarks(cases: Sequence[Results]) -> Iterable[str]:
         printed = f" The {len(c1['runs'])} seeds on C1's printed list print {different} stacking sequences."
     yield (
         f"**It ends near the best fit, hardly ever on it.** Within the rounding of the list are {exact} of "
-        f"{runs} runs, within 1 % of the frequencies {near}. What a run prints is one of the many stacking "
-        f"sequences that the list allows.{printed}"
+        f"{runs} runs, within 1 % of the frequencies {near}.{printed}"
     )
 
 

@@ -115,7 +115,7 @@ def as_results(rows: list[Results], *, quick: bool) -> Results:
 
 def sections(results: Results) -> dict[str, str]:
     """What docs/theory.md says of evidences."""
-    of = results["summary"]
+    of = summary(results["cases"])
     return {
         "agreement": paragraph(
             f"Of {of['compared']} evidences of hypotheses near the best of {of['cases']} simulated lists "

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from cpam_bayes.fingerprint import fingerprint, sources_of
 from cpam_bayes.plate.records import USUAL_SCALE_SD, USUAL_SD
 from tests.test_studies import PROJECT, SAVED, STUDIES, script
 from validation import fingerprints
@@ -243,6 +244,14 @@ def test_cases_that_are_saved_one_by_one_keep_the_fingerprint_that_they_were_com
     found = case_by_case(range(3), lambda n: {"case": n, "x": 2}, lambda cases: {"cases": cases}, path=path)
     assert [c["fingerprint"] for c in found["cases"]] == [OTHER, OTHER, fingerprint_of_study(STUDY)]
     assert fingerprints.recorded() == {STUDY: OTHER}
+
+
+def test_a_study_that_names_what_computes_its_cases_is_of_the_state_of_that() -> None:
+    named = "cpam_bayes.questions.paper.work"
+    assert fingerprint_of_study("19_paper") == fingerprint(named)
+    # what is only judged and shown is no part of it
+    shown = {file.name for file in sources_of([named], [])} & {"present.py", "drawings.py", "plates.py"}
+    assert not shown
 
 
 def test_a_case_without_a_fingerprint_among_others_is_of_unknown_code(ledger: Path) -> None:

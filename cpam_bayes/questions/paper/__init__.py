@@ -465,7 +465,7 @@ def _document(result: PaperResult) -> dict[str, Any]:
         "quick": result.quick,
         "tables": [_counts(result.rows, number) for number in result.numbers],
         "rows": [_record(row) for row in result.rows],
-        "disagreements": list(disagreements(result.rows, result.misfits)),
+        "disagreements": list(disagreements(result.rows, result.misfits, result.simulation_errors)),
         "audit": {
             "misprints": [note for n in result.numbers for note in _misprints(printed_table(n))],
             "means_of_ten": means_of_ten(result.rows) or None,

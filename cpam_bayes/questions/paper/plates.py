@@ -11,11 +11,9 @@ from typing import Any, Final
 from cpam_bayes.effects import CATALOGUE
 from cpam_bayes.formatting import listed, signed, significant
 from cpam_bayes.questions.paper.drawings import OF_THE_PAPER
-from cpam_bayes.questions.paper.rows import BUILT_IN, Record
+from cpam_bayes.questions.paper.rows import BUILT_IN, UNEXPLAINED_PERCENT, Record, is_unexplained
 from cpam_bayes.render.report import Column, Rows
 
-# Misfit with constants near the data sheet, %, from which on a plate's list is not that of the printed plate.
-_UNEXPLAINED_PERCENT: Final = 5.0
 # One factor explains a list if it leaves less than this share of itself.
 _ONE_FACTOR: Final = 1.0 / 3.0
 # Thicknesses of two plates this close, as a fraction, are alike.
@@ -27,7 +25,7 @@ _TWO_DIGITS: Final = partial(significant, digits=2)
 
 def wrong_plates(document: Record) -> Iterator[str]:
     """What is wrong with plates whose lists no constants near the data sheet explain, in plain words."""
-    far = filter(_is_unexplained, document["simulation"])
+    far = filter(is_unexplained, document["simulation"])
     wrong = {e["specimen"]: e for e in sorted(far, key=itemgetter("specimen"))}
     if not wrong:
         return
@@ -35,17 +33,13 @@ def wrong_plates(document: Record) -> Iterator[str]:
         f"## What is wrong with {listed(tuple(wrong), 'and')}",
         "",
         "With constants near the data sheet the printed plate misses these measured frequencies by more "
-        f"than {_UNEXPLAINED_PERCENT:g} % (rms). Left is the misfit of such constants, of those of the "
+        f"than {UNEXPLAINED_PERCENT:g} % (rms). Left is the misfit of such constants, of those of the "
         "least F, eq. (7), within wide bounds (high modes weigh most), and with the cause that `cpam-bayes "
         "diagnose` finds.",
         "",
         *(f"- **{name}**: {_in_words(error, _least(document, name))}" for name, error in wrong.items()),
         "",
     )
-
-
-def _is_unexplained(error: Record) -> bool:
-    return bool(error["plain_rms_percent"] > _UNEXPLAINED_PERCENT)
 
 
 def _least(document: Record, name: str) -> str:

@@ -391,8 +391,8 @@ def _of_angles(document: Record) -> Iterator[str]:
     """What ours and the intervals are of in a table with angles of noisy lists."""
     if len(document["tables"]) == 1 and any(map(_has_spread, document["rows"])):
         yield (
-            "Free disorder: constants of the known layup. Below it ours are means of ten lists, angles sought too, and "
-            "intervals are over all layups of one list."
+            "Free disorder: constants of the known layup. Below it ours are means of ten lists, angles "
+            "sought too, and intervals are over all layups of one list."
         )
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal, get_args
 
@@ -54,6 +54,8 @@ _CONSTANT_PERCENT: Final = 1.0
 MISPRINTED: Final = 50.0
 # Misfit of printed constants that is worth a name, %; ends of an interval this factor apart are far apart.
 _FAR, _WIDE = 5.0, 1.5
+# Misfit with constants near the data sheet, %, from which on a plate's list is not that of the printed plate.
+UNEXPLAINED_PERCENT: Final = 5.0
 # An interval over this share of the bounds says nothing: the prior, uniform between them, has 95 %.
 _UNDETERMINED: Final = 0.8
 
@@ -261,11 +263,19 @@ def row_of(
     )
 
 
-def disagreements(rows: Sequence[Row], misfits: Sequence[Record]) -> tuple[str, ...]:
+def is_unexplained(error: Record) -> bool:
+    """Whether a plate's list is not that of the printed plate, by its diagnosis."""
+    return bool(error["plain_rms_percent"] > UNEXPLAINED_PERCENT)
+
+
+def disagreements(
+    rows: Sequence[Row], misfits: Sequence[Record], simulation: Sequence[Record]
+) -> tuple[str, ...]:
     """The most important disagreements in words, as far as their tables were computed."""
     # misfits of Table 9 are computed for Tables 11 to 14 as well
     own = [m for m in misfits if m["table"] == 9] if any(row.table == 9 for row in rows) else []
-    return tuple(filter(None, (_frequencies_off(rows), _own_misfit(own), _undetermined(rows))))
+    other = {error["specimen"] for error in simulation if is_unexplained(error)}
+    return tuple(filter(None, (_frequencies_off(rows), _own_misfit(own), _undetermined(rows, other))))
 
 
 def _frequencies_off(rows: Sequence[Row]) -> str:
@@ -340,8 +350,11 @@ def by_others(source: str) -> bool:
     return "[" in source
 
 
-def _undetermined(rows: Sequence[Row]) -> str:
-    """Printed digits that the frequencies do not determine: constants and stacking sequences."""
+def _undetermined(rows: Sequence[Row], other: Collection[str]) -> str:
+    """Printed digits that the frequencies do not determine: constants and stacking sequences.
+
+    other : plates whose lists are not those of the printed plates.
+    """
     identified = [r for r in rows if r.table == 9 and r.part == "a" and r.source == PAPER]
     wide = [r for r in identified if r.q025 and r.q975 and r.q975 > _WIDE * r.q025]
     layups = [r for r in rows if r.table == 9 and r.part == "b"]
@@ -350,11 +363,13 @@ def _undetermined(rows: Sequence[Row]) -> str:
     widest = max(identified, key=lambda r: (r.q975 or 0.0) / (r.q025 or 1.0))
     counts = sorted(int(r.details["credible_95_count"] or 0) for r in layups)
     outside = [r.specimen for r in layups if r.verdict != WITHIN]
+    but = [name for name in outside if name in other]
+    of_others = f"; the lists of {listed(but, 'and')} are not those of the printed plates" if but else ""
     return (
         f"Table 9: the frequencies determine less than is printed. {len(wide)} of {len(identified)} printed "
         f"constants have a 95 % interval whose ends are a factor of {_WIDE:g} or more apart; "
         f"{widest.quantity} of {widest.specimen}, printed {widest.printed}, has "
         f"{significant(widest.q025 or 0.0, 3)} to {significant(widest.q975 or 0.0, 3)}. The 95 % sets hold "
         f"{counts[0]} to {counts[-1]} stacking sequences; the printed ones of "
-        f"{listed(outside, 'and') or 'no plate'} are outside or at the edge."
+        f"{listed(outside, 'and') or 'no plate'} are outside or at the edge{of_others}."
     )

@@ -94,9 +94,9 @@ def test_the_misprinted_frequency_that_is_left_out_is_named() -> None:
     ours[8] = 10500.0
     results = {"ritz_hz": ours, "fem_hz": None}
     rows = list(frequency_rows(table, {("forward", "D1", BUILT_IN): results}, NO_BRICKS))
-    (said,) = disagreements(rows, ())
+    (said,) = disagreements(rows, (), ())
     assert "(without the misprinted f9)" in said
-    assert "misprinted" not in disagreements(rows[:8], ())[0]
+    assert "misprinted" not in disagreements(rows[:8], (), ())[0]
 
 
 def test_rows_of_table_8_are_compared_with_as_many_unknown_constants() -> None:
