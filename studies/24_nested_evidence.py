@@ -120,8 +120,9 @@ def sections(results: Results) -> dict[str, str]:
         "agreement": paragraph(
             f"Of {of['compared']} evidences of hypotheses near the best of {of['cases']} simulated lists "
             f"{of['agreed']} are those of nested sampling ({results['live_points']} live points) to "
-            f"{AGREED_NATS:g} nats and two standard errors of both; the mean difference is "
-            f"{of['mean_difference']:+.3f} ± {of['error_of_mean']:.3f} nats."
+            f"{AGREED_NATS:g} nats and two standard errors of both; mean difference "
+            f"{of['mean_difference']:+.3f} ± {of['error_of_mean']:.3f}, largest "
+            f"{of['largest_difference']:.2f} nats."
         )
     }
 
