@@ -204,7 +204,7 @@ def _nested(
 def summary(rows: list[Results]) -> Results:
     """Of sequences compared: differences in nats, and their rms with nested sampling's own error taken off.
 
-    error : standard error of the mean of the squared differences, as a square root's, nats.
+    rms_at_most : that rms with two standard errors of its square more.
     """
     miss = np.array([row["importance"] - row["nested"] for row in rows])
     error = np.array([row["nested_error"] for row in rows])
@@ -218,7 +218,6 @@ def summary(rows: list[Results]) -> Results:
         "rms_left": float(np.sqrt(max(left, 0.0))),
         "rms_at_most": float(np.sqrt(max(left + 2.0 * np.sqrt(2.0 * np.sum(error**4)) / len(rows), 0.0))),
         "largest": float(np.abs(miss).max()),
-        "beyond_two_errors": int(np.sum(np.abs(miss) > 2.0 * error)),
     }
 
 

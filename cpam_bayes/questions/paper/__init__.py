@@ -64,6 +64,7 @@ from cpam_bayes.questions.paper.work import (
     comes_with_the_package,
     diagnoses,
     hadamard,
+    measured_beside,
     packaged,
     read,
     rounding_percent,
@@ -103,11 +104,15 @@ _WITH_ANGLES: Final = ("C1", "C3", "D1", "D3")
 _NOISE: Final = {number: name for name, number in TABLES.items()}
 
 
+def _plates(number: int) -> tuple[str, ...]:
+    """The plates of a table."""
+    return tuple(dict.fromkeys(row.specimen for row in printed_table(number).rows))
+
+
 def tasks_of(number: int, seed: int) -> tuple[Task, ...]:
     """The computations that a table needs."""
     if number in (1, 5):
-        names = dict.fromkeys(row.specimen for row in printed_table(number).rows)
-        return tuple(Task("forward", name, BUILT_IN, number, seed) for name in names)
+        return tuple(Task("forward", name, BUILT_IN, number, seed) for name in _plates(number))
     if number in (6, 7):
         return (Task("constants", "D&G", FOUR if number == 6 else TWO, number, seed),)
     if number == 8:
@@ -423,9 +428,8 @@ def _behind(numbers: Sequence[int]) -> dict[str, tuple[str, ...]]:
     found: dict[str, dict[str, None]] = {name: {} for name in _SLOW}
     for number in numbers:
         if number in (1, 5):
-            found["calculix"] |= dict.fromkeys(row.specimen for row in printed_table(number).rows)
-            measured = printed_table(1 if number == 1 else 4).rows
-            found["diagnoses"] |= dict.fromkeys(row.specimen for row in measured)
+            found["calculix"] |= dict.fromkeys(_plates(number))
+            found["diagnoses"] |= dict.fromkeys(measured_beside(number))
         elif number == 9:
             found["sequences"] |= dict.fromkeys(identified_layups())
         elif _NOISE.get(number) in _WITH_ANGLES:

@@ -203,9 +203,8 @@ def simulation_errors(number: int, diagnosed: Mapping[str, Any]) -> Iterator[Rec
     """
     if number not in (1, 5):
         return
-    measured = printed_table(1 if number == 1 else 4).rows
     printed = {row.specimen: row for row in printed_table(number).rows if row.source == "ABAQUS"}
-    for name in dict.fromkeys(row.specimen for row in measured):
+    for name in measured_beside(number):
         stored = diagnosed["plates"].get(name)
         if stored is not None:
             rms = _rms_percent(printed[name]) if name in printed else None
@@ -217,6 +216,11 @@ def simulation_errors(number: int, diagnosed: Mapping[str, Any]) -> Iterator[Rec
                 "of_one_material_mm": _of_one_material(name),
                 **stored,
             }
+
+
+def measured_beside(number: int) -> tuple[str, ...]:
+    """Plates whose measured lists stand beside the frequencies of Table 1 or 5."""
+    return tuple(dict.fromkeys(row.specimen for row in printed_table(1 if number == 1 else 4).rows))
 
 
 def frequency_scale(name: str) -> dict[str, float]:
