@@ -65,8 +65,9 @@ _BESIDE = 10
 _NOTHING_LEFT = 0.05
 # Optima that a fit with the forms' errors starts from.
 _FORM_STARTS = 4
-# Score of a size that can only add at which there is hardly any of it.
-_FAINT = -3.0
+# Score of a size that can only add at which there is hardly any of it, and scores at which an effect's size
+# is held against the plain model's optimum: one of the two may make up for the other far away.
+_FAINT, _MOVED = -3.0, (-2.0, -1.0, 1.0, 2.0)
 # Pairings within so many nats of the best are fitted by themselves, at most so many of a cause.
 _NEAR_PAIRINGS, _MOST_PAIRINGS = 25.0, 12
 # Of incomplete lists: turns of fitting a hypothesis and of pairing at its optimum; hypotheses within so many
@@ -104,6 +105,8 @@ def marginal_of(
     starts = plain_starts(comparison, none)
     if known is not None:
         starts = np.concatenate((known, starts))
+    elif none is not None:
+        starts = np.concatenate((starts, _moved(starts[0], effect_columns(comparison, hypothesis)[:1])))
     return fitted(comparison, hypothesis, starts, log2_draws=log2_draws, least=least)
 
 
@@ -145,6 +148,13 @@ def plain_starts(comparison: LogDensity, none: Marginal | None) -> Array:
         faint[:, one_sided] = _FAINT
         starts.append(faint)
     return np.concatenate(starts)
+
+
+def _moved(start: Array, size: tuple[int, ...]) -> Array:
+    """A start (n,) with other sizes, (s, n); none where the hypothesis has no size."""
+    moved = np.repeat(start[None], len(_MOVED) if size else 0, axis=0)
+    moved[:, list(size)] = np.array(_MOVED)[: len(moved), None]
+    return moved
 
 
 @dataclass(frozen=True, slots=True)

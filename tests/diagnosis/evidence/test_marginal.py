@@ -60,12 +60,12 @@ def weighed(comparison: LogDensity, sizes: tuple[int, ...] = (2,), least: float 
     return laplace_marginal(comparison, sizes, np.zeros((1, comparison.parameters.size)), least=least)
 
 
-def by_quadrature(f: np.ndarray, noise: float, prior: Prior, shape: np.ndarray) -> float:
-    """Log evidence of ln f = ln F0 + A c + shape t^2: the constants in closed form, t by 20001 points."""
+def by_quadrature(f: np.ndarray, noise: float, prior: Prior, shape: np.ndarray, linear: float = 0.0) -> float:
+    """Log evidence of ln f = ln F0 + A c + shape t (t + linear): c in closed form, t by 20001 points."""
     t = np.linspace(prior.lower, prior.upper, 20001)
     slope = SD * A * f[:, None]
     covariance = slope @ slope.T + np.diag((noise * f) ** 2)
-    means = F0 * np.exp(t[:, None] ** 2 * shape)
+    means = F0 * np.exp(t[:, None] * (t[:, None] + linear) * shape)
     factor = np.linalg.cholesky(np.linalg.inv(covariance))
     z = f * np.log(f / means) @ factor
     log_p = -0.5 * np.sum(z**2, axis=1) - 0.5 * np.linalg.slogdet(2 * np.pi * covariance)[1]
@@ -94,6 +94,23 @@ def test_moments_of_a_linear_model_are_those_of_the_gaussian() -> None:
         np.testing.assert_allclose(mean, expected, atol=near * sd.max())
         np.testing.assert_allclose(spread, sd, rtol=3 * near)
         np.testing.assert_allclose(found.resampled(2048).mean(axis=0), expected, atol=2 * near * sd.max())
+
+
+def test_a_second_optimum_at_another_size_counts_where_the_plain_model_explains_the_list() -> None:
+    # no size and one of -0.15 shift the modes alike, and the data determine the size about either
+    two_fold, prior, f = -0.15, whole_normal(0.1), measured()
+
+    def shift(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return t[:, None] * (t[:, None] - two_fold) * BUMP, (2.0 * t[:, None] - two_fold) * BUMP
+
+    of = cause("bent", prior)
+    plates = [case(a_list(f, NOISE), [(of, shift)])]
+    found = weighing.weigh(
+        plates, [(replace(PLAIN, prior=0.9), (0,)), (hypothesis(of, 0.1), (0,))], sets=False
+    ).best_of("bent")
+    expected = by_quadrature(f, NOISE, prior, BUMP, -two_fold)
+    assert found.marginal.log_evidence == pytest.approx(expected, abs=0.1)
+    assert np.sum(found.marginal.draws[:, 2] < two_fold / 2) > 100
 
 
 # at the last noise the posterior is 6e-4 scores wide
