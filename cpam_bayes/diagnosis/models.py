@@ -11,12 +11,14 @@ import numpy as np
 from cpam_bayes.effects import Effect, PlateFacts, extend
 from cpam_bayes.forward_model.build import basis_tolerance, model_key, remembered, without_matrices
 from cpam_bayes.forward_model.known_errors import common_errors
-from cpam_bayes.forward_model.local.basis import patch_model, point_mass_model
+from cpam_bayes.forward_model.local.basis import local_space, patch_model, point_mass_model
 from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.model import (
     ForwardModel,
     PlateModel,
+    Prediction,
     Samples,
+    biased,
     constant_parameters,
     convergence_samples,
     model_on_basis,
@@ -28,6 +30,8 @@ from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings, re
 from cpam_bayes.forward_model.three_dimensions import theory_bias, theory_error
 from cpam_bayes.mechanics.affine import AffineOperator
 from cpam_bayes.mechanics.convergence import Tolerance, converge
+from cpam_bayes.mechanics.dense import discretise
+from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import Array, Problem, any_of
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet, Uniform
@@ -272,6 +276,23 @@ def local_model(plate: PlateModels, effect: Effect) -> LocalModel:
     if effect.local == "point":
         return point_mass_model(plate.bare.full, plate.samples.x, effect.parameter_set)
     return patch_model(plate.bare.full, plate.samples.x, effect.parameter_set, effect.local)
+
+
+def solved_there(plate: ConvergedPlate, effect: Effect, model: LocalModel, x: Array) -> Array:
+    """Frequencies (m, n_modes) of a plate with an effect at any place, in full at each vector x (m, n).
+
+    model : of all places, in whose full space they are solved
+    x : parameters of the plate, then those of the effect
+    """
+    assert model.bare.basis is not None
+    space, frequencies = local_space(plate.problem, model.bare.basis[0]), []
+    for row in np.atleast_2d(x):
+        parameters = (*plate.parameters.names, *(p.name for p in effect.parameters))
+        named = {name: np.array([value]) for name, value in zip(parameters, row, strict=True)}
+        there = effect.fixed({name: value[0] for name, value in named.items()})
+        full = discretise(extend(plate.problem, there, plate.facts), space, named)
+        frequencies.append(solve(full, *full.coefficients(named), model.n_modes).frequencies[0])
+    return biased(Prediction(np.array(frequencies), None), model.bare.bias).frequencies
 
 
 def converged_plate(

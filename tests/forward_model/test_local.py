@@ -6,14 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cpam_bayes.diagnosis.comparison import PlateCase, comparison_of
+from cpam_bayes.diagnosis.hypotheses import Hypothesis
 from cpam_bayes.diagnosis.models import PlateModels, local_model, plate_models
 from cpam_bayes.effects import CATALOGUE, Effect, extend, variants
 from cpam_bayes.forward_model.local.basis import local_space
 from cpam_bayes.forward_model.local.model import LocalModel
+from cpam_bayes.forward_model.model import Prediction, biased
 from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.fem import discretise_sparse, fem_space
 from cpam_bayes.mechanics.modes import solve
-from cpam_bayes.plate import Sensor, Specimen, builtin, layup
+from cpam_bayes.plate import Measurement, Sensor, Specimen, builtin, layup
 from tests.shared import once_a_run
 
 PATCHES = ("bell", "rectangle")
@@ -99,6 +102,20 @@ def test_frequencies_are_those_of_the_full_space_with_the_effect_there(form: str
         # Rayleigh and Ritz: from above, but for rounding and for the quadrature over a patch
         assert errors.min() > (-1e-6 if form == "mass" else -tolerance)
         assert errors.max() < tolerance
+
+
+@pytest.mark.parametrize("form", ["mass", "bell"])
+def test_a_hypothesis_states_what_the_basis_of_all_places_errs_at_a_few_of_them(form: str) -> None:
+    plate, effect = plate_of("C1"), effect_of(form)
+    measured = Measurement(np.arange(1.0, N + 1.0), 0.0, 0.002, None, ("",) * N, complete=True)
+    case = PlateCase(plate, measured, np.arange(N), {(effect.name, effect.variant): model_of(form)})
+    model = comparison_of([case], Hypothesis(effect.name, effect.family, effects=(effect,))).model
+    sets = random_sets(form, 3)
+    # the bias of the theory is in both
+    truths = biased(Prediction(np.array([truth(form, row) for row in sets]), None), model_of(form).bare.bias)
+    errors = model.predict(sets).frequencies / truths.frequencies - 1.0
+    assert model.basis_error(sets) == pytest.approx(np.abs(errors).max(), rel=1e-4)
+    assert np.abs(errors).max() > 1e-7
 
 
 @pytest.mark.parametrize(
