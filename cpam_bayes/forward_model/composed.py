@@ -16,7 +16,7 @@ _STEP = 1e-30
 # Vectors of a block from which on a second projection pays.
 LARGE_BASIS = 80
 # Places of an effect at which its frequencies are solved in full.
-_PLACES = 4
+_PLACES = 3
 
 
 @dataclass(frozen=True, slots=True)
