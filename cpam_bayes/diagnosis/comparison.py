@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, Hypothesis
-from cpam_bayes.diagnosis.models import PlateModels, extended_model, plate_models, solved_there
+from cpam_bayes.diagnosis.models import PlateModels, extended_model, plate_models
 from cpam_bayes.effects import Effect
 from cpam_bayes.effects.effect import MISREADINGS
 from cpam_bayes.forward_model.composed import Change, ComposedModel, Part
@@ -162,8 +161,7 @@ def _part(
             at = tuple(joint.add(p, "" if shared else specimen) for p in effect.parameters)
             names = tuple(p.name for p in effect.parameters)
             model = None if effect.change is None else case.with_effect(effect)
-            solved = partial(solved_there, models, effect, model) if isinstance(model, LocalModel) else None
-            changes.append(Change(names, at, model, effect.observe, solved))
+            changes.append(Change(names, at, model, effect.observe))
         listed = hypothesis.listed
         if listed.spurious is not None:
             kept = np.delete(kept, listed.spurious)

@@ -46,6 +46,7 @@ from cpam_bayes.diagnosis.hypotheses import (
     claim_of,
     inclusion_of,
 )
+from cpam_bayes.diagnosis.models import solved_there
 from cpam_bayes.diagnosis.signatures import (
     Menu,
     Projector,
@@ -58,6 +59,7 @@ from cpam_bayes.diagnosis.signatures import (
     with_equal_fits,
 )
 from cpam_bayes.forward_model.labels import shape_notices
+from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.preconditions import count_notices
 from cpam_bayes.identification.point import reliances
 from cpam_bayes.inference.assessment import cut_notices
@@ -68,7 +70,7 @@ _HIDDEN = 0.3
 # Variants of the claimed causes that carry less than this fraction of the claim are not averaged over.
 _LEAST_FRACTION = 1e-3
 # Claimed hypotheses, and draws of each, at which the bases are checked by full solves.
-_CHECKED_MEMBERS, _CHECKED_DRAWS = 3, 8
+_CHECKED_MEMBERS, _CHECKED_DRAWS, _CHECKED_PLACES = 3, 8, 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,15 +276,31 @@ def diagnose_cases(
         claim.kind != OTHER and within_stated_noise(leading, n_constants),
         within_stated_noise(weighed.none, n_constants),
         _reliances(cases, weighed),
-        basis_error_of([t for t, _ in members[:_CHECKED_MEMBERS]] or [weighed.none]),
+        basis_error_of([t for t, _ in members[:_CHECKED_MEMBERS]] or [weighed.none], cases),
         time.perf_counter() - start,
     )
 
 
-def basis_error_of(tested: Sequence[Tested]) -> float | None:
-    """Largest relative error of a frequency by the reduced bases, of full solves at draws of hypotheses."""
-    each = [t.marginal.comparison.model.basis_error(t.marginal.resampled(_CHECKED_DRAWS)) for t in tested]
-    return max((error for error in each if error is not None), default=None)
+def basis_error_of(tested: Sequence[Tested], cases: Sequence[PlateCase]) -> float | None:
+    """Largest relative error of a frequency by the reduced bases, of full solves at draws of hypotheses.
+
+    With an effect at any place the plate is made anew at each draw: a few are enough. None where no basis is
+    reduced.
+    """
+    found: list[float | None] = []
+    for t in tested:
+        model, x = t.marginal.comparison.model, t.marginal.resampled(_CHECKED_DRAWS)
+        found.append(model.basis_error(x))
+        few = x[:: _CHECKED_DRAWS // _CHECKED_PLACES][:_CHECKED_PLACES]
+        for part, case in zip(model.parts, cases, strict=True):
+            listed = part.modes[part.modes >= 0]
+            for change, effect in zip(part.changes, t.hypothesis.effects, strict=False):
+                if isinstance(change.model, LocalModel):
+                    at = np.column_stack((part.plate_vector(few), few[:, list(change.columns)]))
+                    solved = solved_there(case.models, effect, change.model, at)
+                    error = np.abs(change.model.predict(at).frequencies / solved - 1.0)
+                    found.append(float(error[:, listed].max(initial=0.0)))
+    return max((error for error in found if error is not None), default=None)
 
 
 def _reliances(cases: Sequence[PlateCase], weighed: Weighed) -> tuple[Reliance, ...]:

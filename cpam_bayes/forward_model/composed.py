@@ -15,8 +15,6 @@ from cpam_bayes.parameters import ParameterSet
 _STEP = 1e-30
 # Vectors of a block from which on a second projection pays.
 LARGE_BASIS = 80
-# Places of an effect at which its frequencies are solved in full.
-_PLACES = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,15 +25,12 @@ class Change:
     model : of the plate with the effect, its parameters the plate's and then the effect's; ``None`` where
         the effect acts on the frequencies
     observe : frequencies (..., n_modes) and values (...) -> frequencies
-    solved : parameters (m, n) of the model -> frequencies (m, n_modes) by full solves, where the model itself
-        has no full space
     """
 
     names: tuple[str, ...]
     columns: tuple[int, ...]
     model: ForwardModel | None = None
     observe: Callable[[Array, Values], Array] | None = None
-    solved: Callable[[Array], Array] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,25 +99,23 @@ class ComposedModel:
     def basis_error(self, x: Array) -> float | None:
         """Largest relative error of a listed frequency by the reduced bases, from full solves at x (m, n).
 
-        With an effect at any place a plate is made anew for each x: the first few are enough. ``None`` where
-        no model that is asked has a full one.
+        ``None`` where no model that is asked is a ``ReducedModel``.
         """
         x = np.atleast_2d(x)[:, : self.parameters.size]
-        errors: list[float] = []
+        errors = []
         for part in self.parts:
             vector = part.plate_vector(x)
             of_plate = [change for change in part.changes if change.model is not None]
             asked = [(change.model, _extended(vector, x, change)) for change in of_plate]
             if len(of_plate) != 1:
                 asked.append((part.bare, vector))
-            relative = [basis_error(model, at) for model, at in asked if isinstance(model, ReducedModel)]
-            for change, (model, at) in zip(of_plate, asked, strict=False):
-                if change.solved is not None and model is not None:
-                    few = at[:_PLACES]
-                    relative.append(np.abs(model.predict(few).frequencies / change.solved(few) - 1.0))
             modes = part.modes[part.modes >= 0]
-            errors += [float(each[:, modes].max(initial=0.0)) for each in relative]
-        return max(errors, default=None)
+            errors += [
+                basis_error(model, at)[:, modes].max(initial=0.0)
+                for model, at in asked
+                if isinstance(model, ReducedModel)
+            ]
+        return float(max(errors)) if errors else None
 
     def without_changes(self) -> ComposedModel:
         """The bare plates with the same lists."""

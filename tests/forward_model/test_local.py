@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 from cpam_bayes.diagnosis.comparison import PlateCase, comparison_of
+from cpam_bayes.diagnosis.diagnose import basis_error_of
+from cpam_bayes.diagnosis.evidence import marginal
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
 from cpam_bayes.diagnosis.models import PlateModels, local_model, plate_models
 from cpam_bayes.effects import CATALOGUE, Effect, extend, variants
 from cpam_bayes.forward_model.local.basis import local_space
 from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.model import Prediction, biased
+from cpam_bayes.inference.student_mixture import Mixture
 from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.fem import discretise_sparse, fem_space
 from cpam_bayes.mechanics.modes import solve
@@ -105,17 +108,20 @@ def test_frequencies_are_those_of_the_full_space_with_the_effect_there(form: str
 
 
 @pytest.mark.parametrize("form", ["mass", "bell"])
-def test_a_hypothesis_states_what_the_basis_of_all_places_errs_at_a_few_of_them(form: str) -> None:
-    plate, effect = plate_of("C1"), effect_of(form)
+def test_an_answer_states_what_the_basis_of_all_places_errs_at_a_few_draws(form: str) -> None:
+    effect, model, sets = effect_of(form), model_of(form), random_sets(form, 8)
     measured = Measurement(np.arange(1.0, N + 1.0), 0.0, 0.002, None, ("",) * N, complete=True)
-    case = PlateCase(plate, measured, np.arange(N), {(effect.name, effect.variant): model_of(form)})
-    model = comparison_of([case], Hypothesis(effect.name, effect.family, effects=(effect,))).model
-    sets = random_sets(form, 3)
+    case = PlateCase(plate_of("C1"), measured, np.arange(N), {(effect.name, effect.variant): model})
+    hypothesis = Hypothesis(effect.name, effect.family, effects=(effect,))
+    comparison, even = comparison_of([case], hypothesis), np.full(8, -np.log(8))
+    nothing = Mixture(np.ones((1, 1)), np.zeros((1, 1, 1)), np.ones((1, 1, 1)), np.inf)
+    drawn = marginal.Marginal(comparison, (), 0.0, np.nan, sets[:1], np.ones(1), nothing, sets, even)
     # the bias of the theory is in both
-    truths = biased(Prediction(np.array([truth(form, row) for row in sets]), None), model_of(form).bare.bias)
-    errors = model.predict(sets).frequencies / truths.frequencies - 1.0
-    assert model.basis_error(sets) == pytest.approx(np.abs(errors).max(), rel=1e-4)
-    assert np.abs(errors).max() > 1e-7
+    truths = biased(Prediction(np.array([truth(form, row) for row in sets[::2]]), None), model.bare.bias)
+    errors = np.abs(model.predict(sets[::2]).frequencies / truths.frequencies - 1.0)
+    assert errors.max() > 1e-7
+    found = basis_error_of([marginal.Tested(hypothesis, (0,), drawn)], [case])
+    assert found == pytest.approx(errors.max(), rel=1e-4)
 
 
 @pytest.mark.parametrize(
