@@ -112,7 +112,7 @@ def sections(results: Results) -> dict[str, str]:
     return {
         "plies": paragraph(
             f"{lists} noisy lists of Tables 11 to 14, all layups weighed, tell {outer:.2f} bits of the "
-            f"outermost angle and {inner:.2f} of the innermost, of {most:.2f}; less of the innermost in {less}."
+            f"outermost angle and {inner:.2f} of the innermost, of {most:.2f}; less of that in {less}."
         )
     }
 
