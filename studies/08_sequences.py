@@ -60,13 +60,8 @@ KEYS = {
 SEED = 0
 TWO_ANGLES = {"C1, two angles": ("C1", "[(?/?)_8]_s"), "D2, two angles": ("D2", "[(?/?)_8]_s")}
 PRINTED = tuple(identified_layups())
-# Cases of the noise study: unknown angles of C1; its sizes with their tolerances, and exact.
-EXACT = "C1 noise, exact sizes"
-NOISE_LAYUPS = {
-    "C1 noise, two angles": "[(?/?)_8]_s",
-    "C1 noise": "[(?/?/?/?)_4]_s",
-    EXACT: "[(?/?/?/?)_4]_s",
-}
+# Cases of the noise study: unknown angles of C1.
+NOISE_LAYUPS = {"C1 noise, two angles": "[(?/?)_8]_s", "C1 noise": "[(?/?/?/?)_4]_s"}
 NOISE = (0.02, 0.01, 0.005, 0.002, 0.001, 5e-4, 2e-4, 1e-4, 7e-5)
 # Layouts of the cost study by their number of unknown angles, and its noises.
 COST_LAYUPS = {
@@ -187,8 +182,6 @@ def _noise(
 ) -> Results:
     """C1's own list, as the reduced model has it, at several noises that are stated, none added."""
     specimen, model_error = with_unknown_layup("C1", NOISE_LAYUPS[name], step), np.nan
-    if name == EXACT:
-        specimen = specimen.with_exact_sizes()
     rows = []
     for level in levels:
         notify(f"{name}, {100 * level:g} %")
@@ -391,11 +384,8 @@ def _remarks(cases: Sequence[Results]) -> Iterable[str]:
 
 
 def _determined(cases: Sequence[Results]) -> Iterable[str]:
-    each = [(c["layup"].count("?"), c["case"] == EXACT, c["determined_at"]) for c in cases]
-    reached = [
-        f"{f'{100 * at:g} %' if at else 'none'} with {n} unknown angles{' and exact sizes' * exact}"
-        for n, exact, at in each
-    ]
+    each = [(c["layup"].count("?"), c["determined_at"]) for c in cases]
+    reached = [f"{f'{100 * at:g} %' if at else 'none'} with {n} unknown angles" for n, at in each]
     yield f"Noise that determines the class of C1's true stacking sequence with 0.95: {', '.join(reached)}."
 
 
