@@ -48,7 +48,7 @@ def saved(name: str) -> dict[str, Any]:
 
 
 # Long ones that are tested in parts: claims, hostile files and growth have files of tests of their own.
-IN_PARTS = ("15_claims", "21_hard_use", "23_growth", "30_noisy_layups")
+IN_PARTS = ("15_claims", "21_hard_use", "23_growth")
 
 
 @pytest.mark.slow
