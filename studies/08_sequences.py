@@ -358,7 +358,7 @@ def sections(results: Results) -> dict[str, str]:
     cases = [c for c in results["cases"] if c["printed"]]
     return {
         "remarks": "\n".join(paragraph(text, "- ") for text in _remarks(cases)),
-        "noise": "\n".join(_determined(results["noise"])),
+        "noise": paragraph(_determined(results["noise"])),
     }
 
 
@@ -383,10 +383,10 @@ def _remarks(cases: Sequence[Results]) -> Iterable[str]:
         )
 
 
-def _determined(cases: Sequence[Results]) -> Iterable[str]:
+def _determined(cases: Sequence[Results]) -> str:
     each = [(c["layup"].count("?"), c["determined_at"]) for c in cases]
     reached = [f"{f'{100 * at:g} %' if at else 'none'} with {n} unknown angles" for n, at in each]
-    yield f"Noise that determines the class of C1's true stacking sequence with 0.95: {', '.join(reached)}."
+    return f"Noise that determines the class of C1's true stacking sequence with 0.95: {', '.join(reached)}."
 
 
 def main() -> None:

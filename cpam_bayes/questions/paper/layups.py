@@ -135,42 +135,39 @@ def searched(name: str, table: int, seed: int, groups: int, swarm: SwarmSettings
 
 
 def weighed(name: str, table: int, seed: int) -> Results:
-    """The posterior over all stacking sequences of the first perturbed list of each level."""
-    return {"levels": [weighed_list(name, table, level, seed, 0) for level, _ in _levels(table)]}
-
-
-def weighed_list(name: str, table: int, level: float, seed: int, number: int) -> Results:
-    """The posterior over all stacking sequences of one perturbed list of a level of noise, which is stated.
-
-    number : of the list among those of the level
-    """
-    row = dict(_levels(table))[level]
+    """The posterior over all stacking sequences of one perturbed list a level, its noise stated."""
     specimen = bounds_alone(name)
     measurement, _ = required(specimen)
+    unlabelled = replace(measurement, relative_std=None, labels=("",) * measurement.size, shapes=None)
     place = specimen.with_unknown_angles().plate.layup.unknown_index
     true = [float(specimen.plate.layup.angles_deg[place == k][0]) for k in range(int(place.max()) + 1)]
-    lists, sd = _perturbed(measurement.frequencies, level, seed, number + 1)
-    unlabelled = replace(measurement, relative_std=None, labels=("",) * measurement.size, shapes=None)
-    noisy_list = replace(unlabelled, frequencies=lists[number], frequency_sd=sd)
-    # of another name, so that the sequence of Table 9(b) is not asked for
-    result = _sequence(replace(specimen, name=f"{name}, {row.source}", measurement=noisy_list), seed)
-    answer, information = result.answer, result.information
-    return {
-        "level_percent": level,
-        "enumerated": answer.enumerated,
-        "credible_95_count": answer.credible_count,
-        "unaccounted": answer.unaccounted,
-        "p_value": result.fit.p_value,
-        "most_bits": information.most_bits,
-        "bits": (information.most_bits - information.entropy_bits).tolist(),
-        "true_probability": _together(answer, true),
-        "printed_probability": _together(answer, row.values["angles_deg"].angles_deg),
-        "most_probable": {
-            "angles_deg": answer.top[0].tolist(),
-            "probability": float(answer.probability[0] * answer.multiplicity[0]),
-        },
-        "constants": result.to_dict()["constants"],
-    }
+    levels = []
+    for level, row in _levels(table):
+        (noisy,), sd = _perturbed(measurement.frequencies, level, seed, 1)
+        noisy_list = replace(unlabelled, frequencies=noisy, frequency_sd=sd)
+        # of another name, so that the sequence of Table 9(b) is not asked for
+        one = replace(specimen, name=f"{name}, {row.source}", measurement=noisy_list)
+        result = _sequence(one, seed)
+        answer, information = result.answer, result.information
+        levels.append(
+            {
+                "level_percent": level,
+                "enumerated": answer.enumerated,
+                "credible_95_count": answer.credible_count,
+                "unaccounted": answer.unaccounted,
+                "p_value": result.fit.p_value,
+                "most_bits": information.most_bits,
+                "bits": (information.most_bits - information.entropy_bits).tolist(),
+                "true_probability": _together(answer, true),
+                "printed_probability": _together(answer, row.values["angles_deg"].angles_deg),
+                "most_probable": {
+                    "angles_deg": answer.top[0].tolist(),
+                    "probability": float(answer.probability[0] * answer.multiplicity[0]),
+                },
+                "constants": result.to_dict()["constants"],
+            }
+        )
+    return {"levels": levels}
 
 
 def _sequence(specimen: Specimen, seed: int) -> StackingResult:
