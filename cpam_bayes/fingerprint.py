@@ -1,7 +1,8 @@
 """A fingerprint of the sources that a result depends on: the hash of a module and of all it imports.
 
 It tells results of today's code from those of another state of it, which a version does not. How an answer
-looks is no part of it: `cpam_bayes.render` and what stands above it are left out.
+looks is no part of it: `cpam_bayes.render` and what stands above it are left out. Neither are docstrings,
+lines of comment and blank lines.
 """
 
 from __future__ import annotations
@@ -20,6 +21,11 @@ _FROM: Final = re.compile(r"^[ \t]*from (cpam_bayes[\w.]*) import (\([^)]*\)|[^\
 _IMPORT: Final = re.compile(r"^[ \t]*import (cpam_bayes[\w.]*)", re.MULTILINE)
 # What decides how an answer looks, and how it is asked for.
 _APPEARANCE: Final = frozenset({"render", "result", "command", "cli", "__main__", "__init__"})
+
+# A docstring, a comment or nothing as whole lines; other strings of several lines are taken as they are.
+_WORDS: Final = re.compile(
+    r'''^[ \t]*"""(?:.|\n)*?"""[ \t]*(?:\n|\Z)|^[ \t]*(?:#[^\n]*)?\n|((?<!')"""(?:.|\n)*?""")''', re.MULTILINE
+)
 
 
 @cache
@@ -62,8 +68,13 @@ def _hash(files: Iterable[Path]) -> str:
     digest = hashlib.sha256()
     for file in files:
         digest.update(file.relative_to(_PACKAGE).as_posix().encode())
-        digest.update(file.read_bytes().replace(b"\r\n", b"\n"))
+        digest.update(without_words(file.read_text(encoding="utf-8")).encode())
     return digest.hexdigest()[:_DIGITS]
+
+
+def without_words(source: str) -> str:
+    """The text of a module without its docstrings, lines of comment and blank lines."""
+    return _WORDS.sub(lambda found: found[1] or "", source)
 
 
 def _imports_of(file: Path | None) -> Iterator[str]:

@@ -1,5 +1,6 @@
 """A result names the sources that it depends on, and no others."""
 
+import ast
 from pathlib import Path
 
 import pytest
@@ -32,12 +33,31 @@ def test_another_source_is_another_fingerprint(monkeypatch: pytest.MonkeyPatch, 
     for name, text, same in (
         ("apart.py", "c = 2\n", True),
         ("two.py", "a = b = 1\r\n", True),
+        ("two.py", '"""Words\n\nand more."""\n\na = b = 1\n\n# a remark\n', True),
+        ("two.py", 'a = b = """1"""\n', False),
         ("two.py", "a = 2\n", False),
     ):
         (tmp_path / name).write_text(text, newline="")
         fingerprint.cache_clear()
         assert (fingerprint("cpam_bayes.one") == first) is same, name
     fingerprint.cache_clear()
+
+
+def test_nothing_but_words_is_left_out_of_the_sources_of_the_package() -> None:
+    for file in Path(module.__file__).parent.rglob("*.py"):
+        source = file.read_text(encoding="utf-8")
+        said: set[int] = set()
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+                lines = range(node.lineno, (node.end_lineno or node.lineno) + 1)
+                said.update(lines if isinstance(node.value.value, str) else ())
+        code = [line for number, line in enumerate(source.splitlines(), 1) if number not in said]
+        left = module.without_words(source).splitlines()
+        assert [line for line in left if _is_code(line)] == [line for line in code if _is_code(line)], file
+
+
+def _is_code(line: str) -> bool:
+    return bool(line.strip()) and not line.strip().startswith("#")
 
 
 def test_a_script_has_the_fingerprint_of_what_it_uses(tmp_path: Path) -> None:
