@@ -14,7 +14,7 @@ from cpam_bayes import running as limits
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.parallel import run
 from cpam_bayes.running import Described, Progress, TimeIsUpError, cut_short, is_time_up, time_limit
-from tests.answers import answered
+from tests.answers import CHAINS, SWARM, answered
 from tests.plate_file import MEASURED, PLATE, Run
 from tests.stacking.cases import STEP, TRUE, listed
 
@@ -153,6 +153,7 @@ class Counting:
 @pytest.mark.parametrize("done", [2, 4])
 def test_a_noise_study_has_the_groups_that_were_inverted(done: int, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: dict[str, Any] = {"levels": [0.01, 0.05], "groups": 4, "readings": ["rms"]}
+    asked |= {"settings": SWARM, "chains": CHAINS}
     whole, watch = cb.sensitivity("A1", **asked), Counting()
     up = 2 * (done + 1) + (done < 4)
     monkeypatch.setattr("cpam_bayes.parallel.sharing.is_time_up", lambda: len(watch.told) >= up)
