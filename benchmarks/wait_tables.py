@@ -71,7 +71,7 @@ def _loads(rows: list[Results]) -> str:
     loads = [row["load"] for row in rows if row.get("load") is not None]
     if not loads:
         return ""
-    return paragraph(f"Processes that wanted a core after a case: {min(loads):.1f} to {max(loads):.1f}.")
+    return paragraph(f"Load average after a case: {min(loads):.1f} to {max(loads):.1f}.")
 
 
 def _seconds(measured: Results | None) -> str:

@@ -48,12 +48,12 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             f"Simulation-based calibration of the posteriors of {listed([p['plate'] for p in plates])}.",
             "True values are drawn from the prior and lists simulated from them: "
             f"{listed([str(p['repetitions']) for p in plates])} repetitions. Histograms: rank of the true "
-            f"value among {data['draws']} posterior draws; grey: where {100 * data['band_probability']:g} % "
-            "of histograms of uniform ranks lie whole; p: test of uniformity, corrected for the number of "
-            "parameters. Below: the ranks' distribution less the uniform one with its band, and coverage "
-            "of central intervals less their level with two standard errors. The smallest p is "
-            f"{smallest:.2f}; {within} of {len(coverage)} coverages are within two standard errors of their "
-            "level.",
+            f"value among {data['draws']} posterior draws; between the broken lines "
+            f"{100 * data['band_probability']:g} % of histograms of uniform ranks lie whole. Below: the "
+            "ranks' distribution less the uniform one with its band, and coverage of central intervals less "
+            "their level with two standard errors. The smallest p of the tests of uniformity, corrected for "
+            f"the number of parameters, is {smallest:.2f}; {within} of {len(coverage)} coverages are within "
+            "two standard errors of their level.",
         )
     ]
 
@@ -82,12 +82,13 @@ def _all(data: dict[str, Any]) -> Figure:
 def _histogram(ax: Axes, plate: dict[str, Any], parameter: dict[str, Any], draws: int) -> None:
     counts, band = parameter["counts"], plate["histogram_band"]
     edges = np.linspace(0, draws + 1, len(counts) + 1)
-    ax.axhspan(band["lower"][0], band["upper"][0], color=BAND, linewidth=0)
+    ax.stairs(counts, edges, fill=True, color=SKY)
     ax.axhline(plate["repetitions"] / len(counts), color=GREY, linewidth=0.8)
-    ax.stairs(counts, edges, fill=True, color=BLUE, alpha=0.75)
+    for end in (band["lower"][0], band["upper"][0]):
+        ax.axhline(end, color=GREY, linewidth=0.8, linestyle="--")
     ax.set_xlim(0, draws + 1)
     ax.set_ylim(0, 1.15 * max(band["upper"][0], *counts))
-    ax.set_title(f"{symbol(parameter['name'])}, p = {parameter['corrected_p']:.2f}")
+    ax.set_title(symbol(parameter["name"]))
     ax.set_xlabel("rank")
 
 

@@ -60,7 +60,7 @@ def _panels(cases: list[dict[str, Any]]) -> Figure:
     rule.fill_between(ends, 1e-4, ends * 2, color=BAND, lw=0, zorder=0)
     rule.set(
         xlabel="standard deviation by the rule, rms over modes, %",
-        ylabel="left of the difference, rms over modes, %",
+        ylabel="difference after the bias, rms over modes, %",
         xscale="log",
         yscale="log",
         ylim=(0.002, 2.0),

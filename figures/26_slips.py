@@ -10,13 +10,26 @@ from typing import Any
 from journal import BLUE, LIGHT, ORANGE, SINGLE_MM, Drawing, Picture, figure, stacked
 from matplotlib.figure import Figure
 
-# Outcomes as the study counts them, and how each is drawn.
+# Outcomes of a file, and how each is drawn. Where there is no slip, it is right to name none.
 COLOURS = {
     "right": BLUE,
-    "another slip": ORANGE,
-    "none": LIGHT,
+    "a wrong slip": ORANGE,
+    "the slip is not named": LIGHT,
     "cannot be seen": "white",
     "refused with a message": "0.5",
+}
+# What the study calls a slip -> the slip.
+SLIPS = {
+    "sides": "length for width",
+    "layup": "layup turned by 90 deg",
+    "edges": "edges in the next order",
+    "supports": "clamped for supported",
+    "missed": "a mode missed",
+    "false": "a false peak",
+    "misread": "two digits exchanged",
+    "decimal": "decimal point moved",
+    "clamped": "clamped, stated free",
+    "free": "free, stated clamped",
 }
 
 
@@ -39,12 +52,29 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
 
 
 def _shares(rows: list[dict[str, Any]]) -> Figure:
+    named = {_name(row): _outcomes(row) for row in rows}
+    shown = {what: c for what, c in COLOURS.items() if any(counts[what] for counts in named.values())}
     new = figure(SINGLE_MM, 34 + 4.5 * len(rows))
     axes = new.subplots()
-    named = {row["kind"].replace("_", " "): row for row in rows}
-    stacked(axes, named, COLOURS, "files", edgecolor="0.3", linewidth=0.4)
+    stacked(axes, named, shown, "files", edgecolor="0.3", linewidth=0.4)
     new.legend(loc="outside lower center", ncols=2)
     return new
+
+
+def _name(row: dict[str, Any]) -> str:
+    return SLIPS.get(row["kind"], f"no slip: {row['kind'].replace('_', ' ')}")
+
+
+def _outcomes(row: dict[str, Any]) -> dict[str, int]:
+    """Files by outcome."""
+    none, is_slip = row["none"], row["kind"] in SLIPS
+    return {
+        "right": row["right"] + (0 if is_slip else none),
+        "a wrong slip": row["another slip"],
+        "the slip is not named": none if is_slip else 0,
+        "cannot be seen": row["cannot be seen"],
+        "refused with a message": row["refused with a message"],
+    }
 
 
 draw = Drawing(__file__, "26_slips", "seed 27", pictures)

@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 from journal import BLUE, LIGHT, SINGLE_MM, Drawing, Picture, figure
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 CLAIMED = "mass added"
+FORMS = {"elements": "o", "bricks": "s"}
 
 
 def pictures(data: dict[str, Any]) -> list[Picture]:
@@ -24,7 +26,7 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             "27_coins",
             _masses(coins),
             "Coins on plates of independent elements and of bricks, found over sealed.",
-            f"95 % intervals of the mass, blue where one is claimed, squares on bricks; {inside} of "
+            f"95 % intervals of the mass, blue where one is claimed; {inside} of "
             f"{len(coins)} hold the sealed mass. To the left of 1 a coin is lighter than what the plate's "
             f"list can show. Of {len(repeats)} repeats without a coin "
             f"{sum(c['finding'] == CLAIMED for c in repeats)} were "
@@ -36,21 +38,23 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
 def _masses(coins: list[dict[str, Any]]) -> Figure:
     new = figure(SINGLE_MM, 70)
     axes = new.subplots()
-    for claimed, solver in product((False, True), ("elements", "bricks")):
+    for claimed, solver in product((False, True), FORMS):
         those = [c for c in coins if (c["finding"] == CLAIMED) is claimed and c["limit_g"]]
         those = [c for c in those if c["solver"] == solver]
-        colour, label = (BLUE, "claimed") if claimed else (LIGHT, "not claimed")
-        form, label = ("o", label) if solver == "elements" else ("s", None)
+        colour, form = BLUE if claimed else LIGHT, FORMS[solver]
         sealed, found, low, high, limit = (
             np.array([c[f"{key}_g"] for c in those]) for key in ("sealed", "found", "low", "high", "limit")
         )
         away = np.abs(np.stack((low, high)) - found) / sealed
-        axes.errorbar(sealed / limit, found / sealed, away, fmt=form, ms=3, lw=0.7, color=colour, label=label)
+        axes.errorbar(sealed / limit, found / sealed, away, fmt=form, ms=3, lw=0.7, color=colour)
     axes.axhline(1.0, color="0.3", lw=0.7)
     axes.axvline(1.0, color="0.3", lw=0.7, ls=":")
     axes.set(xscale="log", yscale="log", ylim=(0.05, 20.0))
     axes.set(xlabel="sealed mass over the detection limit", ylabel="found over sealed")
-    new.legend(loc="outside lower center", ncols=2)
+    shown = [("claimed", "o", BLUE), ("not claimed", "o", LIGHT)]
+    shown += [(f"on {solver}", form, "0.3") for solver, form in FORMS.items()]
+    marks = [Line2D([], [], ls="", marker=m, ms=4, color=c, label=name) for name, m, c in shown]
+    new.legend(handles=marks, loc="outside lower center", ncols=2)
     return new
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from journal import DOUBLE_MM, ORANGE, SKY, Drawing, Picture, figure
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 NAMES = {"E1_GPa": "E1", "E2_GPa": "E2", "nu12": "nu12", "G12_GPa": "G12"}
 
@@ -21,7 +22,7 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             "29_recordings",
             _constants(data["cases"]),
             "Constants of plates identified from recorded hits, over the true ones.",
-            "95 % intervals, a plate each, orange where one does not hold the true value; "
+            "95 % intervals, a plate each, the widest above; "
             f"{counts['inside']} of {counts['constants']} do. {counts['paired_right']} of "
             f"{counts['paired']} peaks that were taken for a mode were of it.",
         )
@@ -29,7 +30,7 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
 
 
 def _constants(cases: list[dict[str, Any]]) -> Figure:
-    new = figure(DOUBLE_MM, 70)
+    new = figure(DOUBLE_MM, 78)
     for axes, (key, name) in zip(new.subplots(1, len(NAMES)), NAMES.items(), strict=True):
         found = [c["constants"][key] for c in cases if key in c["constants"]]
         found.sort(key=lambda one: (one["high"] - one["low"]) / one["true"])
@@ -37,7 +38,11 @@ def _constants(cases: list[dict[str, Any]]) -> Figure:
             ends = np.array([one["low"], one["high"]]) / one["true"]
             axes.plot(ends, (row, row), color=SKY if one["inside"] else ORANGE, lw=1.4)
         axes.axvline(1.0, color="0.3", lw=0.7)
-        axes.set(title=name, xlabel="over the true value", yticks=[])
+        axes.set(title=name, xlabel="interval over the true value", yticks=[])
+        axes.spines["left"].set_visible(False)
+    held = ((SKY, "holds the true value"), (ORANGE, "does not"))
+    lines = [Line2D([], [], color=colour, lw=1.4, label=label) for colour, label in held]
+    new.legend(handles=lines, loc="outside lower center", ncols=2)
     return new
 
 

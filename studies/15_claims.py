@@ -236,7 +236,7 @@ def sections(results: Results) -> dict[str, str]:
         sealed = results["seal"] if name == SEALED else None
         found[name] = telling.section(total, scores, states, others, sealed)
         if sealed is not None:
-            found["in short"] = telling.in_short(total, scores, sealed)
+            found["in short"] = telling.in_short(total, scores, sealed, len(states))
     return found
 
 

@@ -12,7 +12,7 @@ import argparse
 import sys
 import tempfile
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -53,15 +53,14 @@ def draw(axes: Axes, result: cb.PolesResult, published: np.ndarray, within: np.n
     """A spectrum; published : Hz, of which one within so many Hz of a mode or of its peak is found."""
     test = result.test
     for hit in test.responses.each_hit:
-        axes.semilogy(*line_sizes(test, hit.frf), color="0.6", linewidth=0.5, rasterized=True)
+        axes.semilogy(*line_sizes(test, hit.frf), color="0.6", linewidth=0.5, rasterized=True, label="a hit")
     for mode in result.modes:
-        axes.axvline(mode.frequency, color="#D55E00", linewidth=0.7)
+        axes.axvline(mode.frequency, color="#D55E00", linewidth=0.7, label="mode")
     for other in result.others:
-        axes.axvline(other.frequency, color="0.3", linewidth=0.6, linestyle=":")
+        axes.axvline(other.frequency, color="0.3", linewidth=0.6, linestyle=":", label="pole that is no mode")
     top = axes.get_xaxis_transform()
-    axes.plot(
-        published, np.ones(len(published)), "v", color="#0072B2", markersize=4, transform=top, clip_on=False
-    )
+    marks: dict[str, Any] = {"color": "#0072B2", "markersize": 4, "transform": top, "clip_on": False}
+    axes.plot(published, np.ones(len(published)), "v", label="published peak", **marks)
 
     at = np.array([(mode.frequency, mode.peak) for mode in result.modes])
     # modes, published, by the pole or by its peak
@@ -70,12 +69,13 @@ def draw(axes: Axes, result: cb.PolesResult, published: np.ndarray, within: np.n
     further = int(np.sum(~near.any(axis=(1, 2))))
     axes.set_title(
         f"{title}: of {len(published)} published peaks {by_pole} at the pole, {by_peak} at its peak; "
-        f"{further} further modes",
+        f"{further} further mode{'s' if further != 1 else ''}",
         fontsize=7.5,
         loc="left",
         pad=8,
     )
     axes.set(xlim=(test.low, test.high))
+    axes.set_ylabel("response", fontsize=7.5)
     axes.tick_params(labelsize=7)
 
 
@@ -103,7 +103,9 @@ def main() -> None:
                 within,
                 f"spruce {name}, free, {len(result.test.responses.each_hit)} hits",
             )
-    others[-1].set_xlabel("Hz", fontsize=7.5)
+    others[-1].set_xlabel("frequency, Hz", fontsize=7.5)
+    shown = dict(zip(*reversed(first.get_legend_handles_labels()), strict=True))
+    figure.legend(shown.values(), shown.keys(), loc="outside lower center", ncols=len(shown), fontsize=7.5)
     figure.savefig(PICTURE, dpi=130, metadata={"Software": None})
 
 

@@ -231,15 +231,13 @@ def noisy_angles(rows: Sequence[Row]) -> str:
     by_chance = sum(row.details["chance_within"] or 0.0 for row in of_angles)
     undetermined = [row for row in of_angles if row.verdict == UNDETERMINED]
     said = (
-        "Angles and constants sought together by one fuzzy swarm, as the paper did, on ten perturbed lists "
-        f"a level: {found} of {PRINTED_GROUPS * len(of_angles)} inversions end at the printed angles, or at "
-        "an image of them with the same frequencies. "
-        f"At {len(undetermined)} of {len(of_angles)} levels the ends are neither nearer the print nor "
-        f"closer together than uniform angles (more than {100.0 * _CHANCE:.0f} % of {_DRAWS} draws are as "
-        "near, and as close): nothing can be said of these means. The printed means agree with ours or "
-        f"cannot be told apart at {within} levels, with uniform angles at {by_chance:.1f} on average. At "
-        f"{on_grid} all printed means are multiples of {_GRID_DEG:g} degrees; of means of ten angles on that "
-        "grid one in ten is."
+        "Angles and constants sought together, as in the paper, by one fuzzy swarm on each of ten lists a "
+        f"level: {found} of {PRINTED_GROUPS * len(of_angles)} inversions end at the printed angles or an "
+        "image with the same frequencies. "
+        f"At {len(undetermined)} of {len(of_angles)} levels more than {100.0 * _CHANCE:.0f} % of {_DRAWS} "
+        "draws of uniform angles are as near the print and as close together. The printed means agree "
+        f"with ours or cannot be told apart at {within} levels, with uniform angles at {by_chance:.1f}. At "
+        f"{on_grid} all printed means are multiples of {_GRID_DEG:g} degrees, as one in ten of such means is."
     )
     parts = (said, _scatter(of_angles), _without_noise(rows), _weighed_angles(rows), _inner_plies(of_angles))
     return " ".join(filter(None, parts))
@@ -250,10 +248,9 @@ def _scatter(rows: Sequence[Row]) -> str:
     uniform_outer, uniform_inner = _outer_and_inner(rows, "chance_spread_")
     more, uniform, sd = _inner_scatters_more(rows)
     return (
-        f"The angle of the outermost unknown ply scatters by {outer:.0f} degrees on average, that of the "
-        f"innermost by {inner:.0f}; uniform angles by {uniform_outer:.0f} and {uniform_inner:.0f}, because "
-        f"the image nearest the print is taken. So the innermost scatters {more:.1f} degrees more, and under "
-        f"no preference {uniform:.1f} +- {sd:.1f}."
+        f"The outermost unknown angle scatters by {outer:.0f} degrees, the innermost by {inner:.0f}, "
+        f"{more:.1f} more; uniform angles, of which the image nearest the print is taken, by "
+        f"{uniform_outer:.0f} and {uniform_inner:.0f}, {uniform:.1f} +- {sd:.1f} more."
     )
 
 
@@ -296,8 +293,8 @@ def _weighed_angles(rows: Sequence[Row]) -> str:
     outer, inner = _outer_and_inner(weighed, "bits_")
     true = max(row.details["true_probability"] or 0.0 for row in weighed)
     return (
-        f"All layups weighed by the first list of each level, its noise stated: it tells {outer:.2f} bits of "
-        f"the outermost angle and {inner:.2f} of the innermost, of {weighed[0].details['most_bits']:.2f} "
+        f"All layups weighed by the first list of each level: {outer:.2f} bits of the outermost angle and "
+        f"{inner:.2f} of the innermost, of {weighed[0].details['most_bits']:.2f} "
         f"({len(weighed)} lists; less of the innermost in {_less_of_the_innermost(weighed)}). The true layup "
         f"has a probability of {true:.2g} at most.{_explained_by_none(weighed)}"
     )

@@ -297,15 +297,14 @@ def means_of_ten(rows: Iterable[Row]) -> str:
     if found is None:
         return ""
     said = (
-        "Noise as eq. (12) must mean it, since the printed b has the unit of 1/frequency: a level times the "
-        "root mean square frequency, one standard deviation for all modes, times a standard normal number "
-        "(by Box-Muller in the paper), added to the measured list. "
+        "Noise as eq. (12) must mean it, since the printed b has the unit of 1/frequency: a level of the "
+        "root mean square frequency, the same for all modes, times a standard normal number (by Box-Muller "
+        "in the paper). "
         f"Of {found.changes} printed changes {found.stuck} have no standard error: half or more of our ten "
         f"inversions sit on a bound. {found.hidden} of the other {found.changes - found.stuck} are smaller "
-        "than one standard error of a mean of ten, which cannot show them. The printed change keeps its sign "
-        f"and grows from 1 to 5 to 10 % for {found.printed_grow} of {found.constants} constants; ours, for "
-        f"the known layup and with independent noise at each level, for {found.ours_grow}. A mean shows the "
-        "bias of the inversion; the spread of the constants is the posterior interval."
+        "than the standard error of a mean of ten. The printed change keeps its sign and grows from 1 to 5 "
+        f"to 10 % for {found.printed_grow} of {found.constants} constants, ours, the layup known, for "
+        f"{found.ours_grow}. A mean shows the bias of the inversion; the spread is the posterior interval."
     )
     return " ".join(filter(None, (said, _over_layups(rows))))
 

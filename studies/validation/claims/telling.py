@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -21,7 +22,7 @@ from validation.reporting import listed, markdown_table, paragraph
 
 Record = dict[str, Any]
 
-# Names of a wrong claim that are told in short.
+# Names of a wrong claim, and kinds of wrong claims, that are told in short.
 _NAMED = 2
 
 
@@ -43,9 +44,7 @@ def section(
         lines += [f"Code of commit {seal['code']}, seed {seal['seed']} drawn on {seal['drawn']}."]
     rows = [_figure(row, predictions.get(row["what"])) for row in scores["figures"] if row["number"]]
     lines += ["", markdown_table(("", "predicted", "reached", "95 % interval", "of", "outcome"), rows)]
-    plain = scores["coverage"]["plain model"]
-    if plain["constants"]:
-        lines += ["", f"Of the 95 % intervals of the plain model {plain['share']:.3f} hold the truth."]
+    lines += ["", _coverage_table(scores["coverage"])]
     others = [row for row in scores["by_kind"] if row["what"] not in OF_PATTERNS]
     lines += ["", *answered_by(engines), "", _confusion_table("what is hidden", others)]
     if scores["by_ratio"]:
@@ -53,6 +52,9 @@ def section(
     if scores["by_pattern"]:
         lines += ["", _pattern_table(scores["by_pattern"])]
     lines += beside
+    if scores["misled"]:
+        ways = (f"{row['way']}{_between(row)} {row['number']} of {row['of']}" for row in scores["misled"])
+        lines += ["", f"Misled, by signal to noise: {'; '.join(ways)}."]
     if scores["wrong"]:
         lines += ["", "Wrong claims:", "", _wrong_claims(scores["wrong"])]
     return "\n".join([*lines, ""])
@@ -113,20 +115,15 @@ def compared(beside: Record, tuned: Record, names: Mapping[str, str]) -> list[st
     head = ("", "threshold", "development: right, wrong, lists", "right", "wrong")
     rows = [_method(engine, scores, tuned, names) for engine, scores in beside["engines"].items()]
     table = markdown_table((*head, "right, signal to noise from 8"), rows)
-    return ["", paragraph(said), "", table, "", paragraph(_unequal(beside, tuned))]
+    return ["", paragraph(said), "", table, "", paragraph(_unequal(beside))]
 
 
-def _unequal(beside: Record, tuned: Record) -> str:
+def _unequal(beside: Record) -> str:
     """That the methods do not claim wrongly as often as the diagnosis."""
     engines = beside["engines"]
     ours, *others = (scoring.number_of(scores, WRONG) for scores in engines.values())
-    lists = sorted({chosen["lists"] for chosen in tuned["methods"].values()})
-    thresholds = f", thresholds of {' and '.join(map(str, lists))}" if lists else ""
     between = f"{min(others)} to {max(others)}" if min(others) < max(others) else str(min(others))
-    return (
-        f"Here the rates differ: {ours} wrong by the diagnosis, {between} by the others. The rate is of "
-        f"{tuned['rate'][1]} development lists, answered by {listed(tuned['answered_by'])}{thresholds}."
-    )
+    return f"Here the rates differ: {ours} wrong by the diagnosis, {between} by the others."
 
 
 def _method(engine: str, scores: Record, tuned: Record, names: Mapping[str, str]) -> tuple[str, ...]:
@@ -140,8 +137,11 @@ def _method(engine: str, scores: Record, tuned: Record, names: Mapping[str, str]
     return names.get(engine, engine), least, counts, right, wrong, f"{_count(strong)} of {strong['number']}"
 
 
-def in_short(total: int, scores: Record, seal: Record) -> str:
-    """A list of two points: elements and bricks, and the commonest ways to be misled."""
+def in_short(total: int, scores: Record, seal: Record, states: int = 1) -> str:
+    """A list of two points: elements and bricks, and the commonest ways to be misled.
+
+    states : of the code, that answered
+    """
     n = int(scores["lists"])
     answered = f"all {n}" if n == total else f"{n} of {total}"
     (least, most), (_, wrong) = (
@@ -149,8 +149,9 @@ def in_short(total: int, scores: Record, seal: Record) -> str:
     )
     too_sure = scoring.figure_of(scores, scoring.TOO_SURE)
     low, high = too_sure["interval"]
+    by = f", by {states} versions of the code" if states > 1 else ""
     said = (
-        f"**Sealed lists** ([{answered} answered](docs/hidden_effects.md)). Elements: "
+        f"**Sealed lists** ([{answered} answered](docs/hidden_effects.md){by}). Elements: "
         f"{_share(scores, scoring.COVERED)} 95 % intervals of lists from priors hold the constant "
         f"({least:.0f} to {most:.0f} predicted), {_counted(scores, scoring.WRONG_OF_ELEMENTS)} lists are "
         f"claimed wrongly (at most {wrong:.0f} % predicted). Bricks: "
@@ -175,10 +176,9 @@ def _counted(scores: Record, what: str) -> str:
 def _way(row: Record, wrong: Sequence[Record]) -> str:
     counted = f"{row['number']} of {row['of']}"
     if row["way"] != scoring.MISSED:
-        surest = max(wrong, key=lambda w: float(w["probability"]))
-        hidden, named = listed(_code(surest["causes"])), _code(surest["claimed"])
-        called = " or ".join((*named[:_NAMED], *("others" for _ in named[_NAMED : _NAMED + 1])))
-        return f"{row['way']} ({counted}: {hidden or 'nothing'} called {called})"
+        kinds = Counter((tuple(w["causes"]), tuple(w["claimed"])) for w in wrong)
+        said = [_called(*kind, number) for kind, number in kinds.most_common(_NAMED)]
+        return f"{row['way']} ({counted}{', among them' * (len(kinds) > _NAMED)}: {'; '.join(said)})"
     if not row["from"]:
         return (
             f"errors that noise or constants hide (signal to noise below {row['below']:g}: {counted} missed)"
@@ -186,6 +186,34 @@ def _way(row: Record, wrong: Sequence[Record]) -> str:
     if row["below"]:
         return f"weak errors ({row['from']:g} to {row['below']:g}: {counted} missed)"
     return f"clear errors (from {row['from']:g}: {counted} missed)"
+
+
+def _called(hidden: Sequence[str], claimed: Sequence[str], number: int) -> str:
+    named = _code(claimed)
+    called = " or ".join((*named[:_NAMED], *("others" for _ in named[_NAMED : _NAMED + 1])))
+    return f"{listed(_code(hidden)) or 'nothing'} called {called}{f', {number} times' * (number > 1)}"
+
+
+def _between(row: Record) -> str:
+    if row["way"] != scoring.MISSED:
+        return ""
+    return f", {row['from']:g} to {row['below']:g}:" if row["below"] else f", from {row['from']:g}:"
+
+
+def _coverage_table(coverage: Mapping[str, Record]) -> str:
+    """Shares of constants in their 95 % intervals by kinds of lists, and by constant."""
+    kinds = {name: row for name, row in coverage.items() if row["constants"]}
+    names = sorted({name for row in kinds.values() for name in row["by_constant"]})
+    rows = [
+        (
+            name,
+            str(row["constants"]),
+            f"{row['share']:.3f} +- {row['standard_error']:.3f}",
+            *(f"{row['by_constant'][n]:.3f}" if n in row["by_constant"] else "-" for n in names),
+        )
+        for name, row in kinds.items()
+    ]
+    return markdown_table(("lists", "constants", "in their 95 % intervals", *names), rows)
 
 
 def _code(names: Sequence[str]) -> list[str]:
