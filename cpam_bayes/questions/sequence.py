@@ -28,7 +28,6 @@ from cpam_bayes.forward_model.preconditions import (
     stated_slips,
 )
 from cpam_bayes.identification.point import reliances, verdict_of
-from cpam_bayes.inference.posterior import NOISE
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, user_name
 from cpam_bayes.printed.tables import identified_layups
@@ -76,7 +75,7 @@ from cpam_bayes.stacking.posterior import (
     n_sampled_classes,
     sample_mixture,
     stacking_posterior,
-    with_tolerances,
+    sums_of,
 )
 from cpam_bayes.stacking.queries import (
     AngleInformation,
@@ -101,8 +100,7 @@ class StackingResult(PlateResult):
     Attributes
     ----------
     answer : the most probable sequences with their probabilities, marginals of the angles, sums
-    mixture : draws of the constants over all sequences, with the tolerances of sizes, mass and frequency
-        scale in them as they are with the most probable one
+    mixture : draws of the constants over all sequences, errors of sizes, mass and frequency scale in them
     given : the sequence that the paper prints for a built-in specimen, None for other plates
     fit : the most probable sequence beside the measured frequencies
     information : what the frequencies tell about each ply
@@ -202,6 +200,7 @@ def sequence(
     require_reachable(specimen)
     specimen = with_references(specimen)
     settings = replace(DEFAULT_SETTINGS, listed=max(DEFAULT_SETTINGS.listed, top))
+    sums_of(specimen, settings)  # what cannot be enumerated is refused at once
     with open_executor(executor, workers) as pool:
         with (
             explained_failures(specimen),
@@ -249,7 +248,6 @@ def stacking_result(
         {name: unknowns[name].prior.sd for name in unknowns.names},
         listed,
     )
-    widened = with_tolerances(answer, mixture, taken_up.shifts(), seed)
     return StackingResult(
         seed=seed,
         notices=(
@@ -261,22 +259,21 @@ def stacking_result(
         specimen=specimen,
         air_shifts=air_shifts(layup),
         answer=answer,
-        mixture=widened,
+        mixture=mixture,
         given=given,
         fit=fit,
         information=angle_information(specimen.plate.layup, answer.marginals),
         explained=misfit_over_noise(measurement, fit.residual, specimen.unknowns.size) == 1.0,
         scale_errors=taken_up.errors(usual=True),
-        reliances=_reliances(answer, widened),
+        reliances=_reliances(answer, mixture),
         top=top,
     )
 
 
 def _reliances(answer: StackingPosterior, mixture: StackingMixture) -> tuple[Reliance, ...]:
     """Reliances of the constants over all sequences."""
-    parameters = answer.conditional.parameters
-    kept = [i for i, name in enumerate(parameters.names) if name != NOISE]
-    names = [parameters.names[i] for i in kept]
+    parameters, names = answer.conditional.parameters, answer.specimen.unknowns.names
+    kept = [parameters.names.index(name) for name in names]
     covariance = np.atleast_2d(np.cov(mixture.parameters[:, kept].T))
     return reliances(names, covariance, np.array([parameters[name].prior.sd for name in names]))
 
@@ -579,7 +576,7 @@ def _constant_keys(answer: StackingPosterior, mixture: StackingMixture) -> dict[
     """Mean, sd and quantiles of the constants over the mixture's draws."""
     constants = {}
     for i, name in enumerate(answer.conditional.parameters.names):
-        if name == NOISE:
+        if name not in answer.specimen.unknowns.names:
             continue
         x = mixture.parameters[:, i] * to_user(name, 1.0)
         q025, q975 = np.quantile(x, (0.025, 0.975))

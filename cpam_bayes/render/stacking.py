@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.formatting import fixed, probable, significant, with_spread
-from cpam_bayes.inference.posterior import NOISE
 from cpam_bayes.plate import to_user, unit_of, user_name
 from cpam_bayes.render.figures import headed, new_figure
 from cpam_bayes.render.report import Caption, Column, Drawing, Rows, Table
@@ -53,9 +52,7 @@ class ListedSequence(NamedTuple):
         """The "mean" or "sd" of the constants by name, in the units of the plate file."""
         if self.is_sampled:
             return constants_by_name(self.answer, getattr(self.mixture.components[self.i].chains, of))
-        own = self.answer.components.conditionals
-        mean, sd = self.mixture.tolerances.of_moments(own.mean[self.i], own.sd[self.i])
-        return constants_by_name(self.answer, {"mean": mean, "sd": sd}[of])
+        return constants_by_name(self.answer, getattr(self.answer.components.conditionals, of)[self.i])
 
 
 def angles_text(angles_deg: Iterable[float]) -> str:
@@ -68,7 +65,7 @@ def constants_by_name(answer: StackingPosterior, values: NDArray[Any]) -> dict[s
     return {
         user_name(name): to_user(name, float(v))
         for name, v in zip(answer.conditional.parameters.names, values, strict=True)
-        if name != NOISE
+        if name in answer.specimen.unknowns.names
     }
 
 
@@ -86,7 +83,7 @@ SEQUENCES: Final = (
     _UNKNOWN,
     Column(None, "angles_deg", lambda s: s.answer.top[s.i].tolist()),
     Column("of each", "probability", lambda s: float(s.answer.probability[s.i]), probable, number=True),
-    Column("equal", "equivalent", lambda s: int(s.answer.multiplicity[s.i]), number=True),
+    Column("with equals", "equivalent", lambda s: int(s.answer.multiplicity[s.i]), number=True),
     _TOGETHER,
     Column(None, "same_bending_deg", lambda s: s.answer.grid_deg[s.answer.same_bending[s.i]].tolist()),
     Column(
@@ -171,7 +168,7 @@ def mixture_table(answer: StackingPosterior, mixture: StackingMixture, given: Gi
     reference = answer.specimen.material.constants
     rows = []
     for i, name in enumerate(parameters.names):
-        if name == NOISE:
+        if name not in answer.specimen.unknowns.names:
             continue
         unit = to_user(name, 1.0)
 
@@ -372,7 +369,7 @@ def constants_over_sequences(
 ) -> Figure:
     """Each constant's density over all sequences beside those given single sequences."""
     parameters = answer.conditional.parameters
-    chosen = [i for i, name in enumerate(parameters.names) if name != NOISE]
+    chosen = [i for i, name in enumerate(parameters.names) if name in answer.specimen.unknowns.names]
     columns = min(len(chosen), 4)
     rows = -(-len(chosen) // columns)
     figure = new_figure(max(6.0, 2.6 * columns), 0.8 + 2.1 * rows)

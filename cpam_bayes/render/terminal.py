@@ -192,14 +192,19 @@ class _Count:
     counted: str
 
     @property
+    def _named(self) -> str:
+        first, *rest = self.counted.split(" ")
+        return " ".join((first.removesuffix("s") if self.total == 1 else first, *rest))
+
+    @property
     def begun(self) -> str:
         """The size of the stage."""
-        return f"{self.total} {self.counted}" if self.counted else f"up to {self.total} iterations"
+        return f"{self.total} {self._named}" if self.counted else f"up to {self.total} iterations"
 
     def at(self, iteration: int, best: float) -> str:
         """The iteration, or the number of what is done, and the value that goes with it."""
         number = f"{iteration} of {self.total}"
-        done = f"{number} {self.counted}" if self.counted else f"iteration {number}"
+        done = f"{number} {self._named}" if self.counted else f"iteration {number}"
         return done if self.described is None else f"{done}, {self.described(best)}"
 
 

@@ -1,6 +1,7 @@
 """Conditional posteriors of stacking sequences, many sequences at once.
 
-Given a sequence, what is left is a posterior of the constants and the noise. Its evidence is Laplace's about
+Given a sequence, what is left is a posterior of the constants, of what all frequencies have in common by
+errors of sizes, mass, frequency scale and theory, and of the noise. Its evidence is Laplace's about
 the best of a few optima (`fit_conditionals`), or that of importance sampling about the same optima
 (`importance_evidence`).
 """
@@ -9,13 +10,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp, ndtri
 from scipy.stats import qmc
 
+from cpam_bayes.forward_model.known_errors import TolerantModel
 from cpam_bayes.forward_model.model import ForwardModel, PlateModel
 from cpam_bayes.forward_model.reduced import ReducedModel, focused
 from cpam_bayes.inference.derivatives import Expansion, NormalScores, expand_likelihood
@@ -23,7 +25,7 @@ from cpam_bayes.inference.laplace import maximise, promised_gain
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.student_mixture import Mixture, shrunk_moments, staged_importance
 from cpam_bayes.mechanics.problem import PlateState, StateFunction, Values
-from cpam_bayes.parameters import ParameterSet
+from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
 from cpam_bayes.plate.laminate import LaminateGeometry
 from cpam_bayes.running import single_blas_thread
 
@@ -61,30 +63,83 @@ _PRIOR_POINTS = 3.0
 _USED, _LEAST_FRACTION = 1e-4, 0.1
 
 
+# Standard deviations that a common error is looked at about one, and the least factor.
+_REACH, _LEAST_FACTOR = 5.0, 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CommonErrors:
+    """Factors of the frequencies by errors of sizes, mass, scale and theory: 1 for the plate as stated.
+
+    sd : (k,) of the factors, which are normal.
+    powers : (k, n_modes) of each in the frequency at each place of the predictions.
+    """
+
+    sd: Array
+    powers: Array
+
+    def beside(self, model: ForwardModel) -> ForwardModel:
+        """A model with the factors as its last parameters."""
+        if not len(self.sd):
+            return model
+        factors = tuple(_factor(f"common error {i}", sd) for i, sd in enumerate(self.sd.tolist(), 1))
+        return TolerantModel(model, ParameterSet(factors), self.powers)
+
+
+NO_ERRORS: Final = CommonErrors(np.empty(0), np.empty((0, 0)))
+
+
+def _factor(name: str, sd: float) -> Parameter:
+    ends = max(1.0 - _REACH * sd, _LEAST_FACTOR), 1.0 + _REACH * sd
+    return Parameter(name, "", TruncatedNormal(1.0, sd, *ends))
+
+
 @dataclass(frozen=True, slots=True)
 class ConditionalPosterior:
     """The posterior of constants (and noise) that any sequence of one layup has.
 
     model : reduced, of the unknown angles and then the constants.
-    template : a posterior of the constants alone, whose model is that of some sequence.
+    template : a posterior without angles, whose model is that of some sequence.
     axes : coordinates in which the prior is a standard normal.
+    common : what all frequencies have in common.
     """
 
     model: ReducedModel
     template: Posterior
     axes: NormalScores
     n_angles: int
+    common: CommonErrors = NO_ERRORS
 
     @property
     def parameters(self) -> ParameterSet:
-        """Constants, and the noise where it is inferred."""
+        """Constants, common errors, and the noise where it is inferred."""
         return self.template.parameters
+
+    @property
+    def n_constants(self) -> int:
+        """Number of the constants, the first of the parameters."""
+        return self.template.model.parameters.size - len(self.common.sd)
+
+    @property
+    def shown(self) -> Array:
+        """Columns of the constants and of the noise among the parameters."""
+        n = self.n_constants
+        return np.concatenate((np.arange(n), np.arange(n + len(self.common.sd), self.parameters.size)))
+
+    def nominal(self, constants: Array) -> Array:
+        """Parameters of the model, (..., n), with the sizes as stated, of constants (..., n_constants)."""
+        as_stated = np.ones((*constants.shape[:-1], len(self.common.sd)))
+        return np.concatenate((constants, as_stated), axis=-1)
 
     def at(self, angles_deg: Array, rows: Array | None = None) -> Posterior:
         """The posterior of stacks whose row i has the sequence i, or rows[i], of (m, n_angles) degrees."""
         geometry = _geometry(self, angles_deg)
         geometry = geometry if rows is None else _rows(geometry, rows)
-        return replace(self.template, model=_model_at(self.model, self.n_angles, geometry))
+        return replace(self.template, model=self.model_at(geometry))
+
+    def model_at(self, geometry: LaminateGeometry | None) -> ForwardModel:
+        """The model of the constants and common errors: row i of a stack has the layup i."""
+        return self.common.beside(_model_at(self.model, self.n_angles, geometry))
 
     def relative_noise(self, x: Array) -> Array:
         """Standard deviations of noise and rounding over the frequencies at parameters x (m, n), (m, n_f)."""
@@ -98,15 +153,20 @@ class ConditionalPosterior:
 
 
 def conditional_posterior(
-    model: ReducedModel, n_angles: int, measurement: Any, solver_error: Array, **options: Any
+    model: ReducedModel,
+    n_angles: int,
+    measurement: Any,
+    solver_error: Array,
+    common: CommonErrors = NO_ERRORS,
+    **options: Any,
 ) -> ConditionalPosterior:
     """The posterior of the constants of a model whose first ``n_angles`` parameters are ply angles.
 
     options : as of ``plate_posterior``.
     """
     some = _model_at(model, n_angles, None)
-    template = plate_posterior(some, measurement, solver_error, **options)
-    return ConditionalPosterior(model, template, NormalScores(template.parameters), n_angles)
+    template = plate_posterior(some, measurement, solver_error, tolerant=common.beside(some), **options)
+    return ConditionalPosterior(model, template, NormalScores(template.parameters), n_angles, common)
 
 
 def _geometry(conditional: ConditionalPosterior, angles_deg: Array) -> LaminateGeometry:
@@ -249,7 +309,7 @@ def _fit(
     log_z[~_distinct(z, value, curvature)] = -np.inf
     total = logsumexp(log_z, axis=1)
     x = axes.to_x(z[np.arange(m), value.argmax(axis=1)])
-    at = replace(conditional.template, model=_model_at(conditional.model, conditional.n_angles, geometry))
+    at = replace(conditional.template, model=conditional.model_at(geometry))
     measured = conditional.template.measurement.frequencies
     residual = measured / at.predict(x)[:, : len(measured)] - 1.0
     return ConditionalFits(total, x, residual, z, np.exp(log_z - total[:, None]), curvature)
@@ -281,7 +341,7 @@ def _expand(
     found = Expansion(np.full(m, -np.inf), np.zeros((m, n)), np.zeros((m, n, n)))
     if not len(inside):
         return found
-    model = _model_at(conditional.model, conditional.n_angles, _rows(geometry, rows[inside]))
+    model = conditional.model_at(_rows(geometry, rows[inside]))
     likelihood = expand_likelihood(replace(conditional.template, model=model), x[inside])
     e = axes.with_prior(likelihood, x[inside], z[inside])
     found.value[inside], found.gradient[inside], found.curvature[inside] = e.value, e.gradient, e.curvature
@@ -414,7 +474,7 @@ def _on_own_basis(
     some = np.clip(known.mean + _OWN_WIDER * known.sd * spread, p.lower, p.upper)
     some = np.concatenate((known.draws, some[np.isfinite(conditional.template.log_prior(some))]))
     noise = conditional.least_noise(known.draws)
-    constants = some[:, : conditional.template.model.parameters.size]
+    constants = some[:, : conditional.n_constants]
     x = np.column_stack((np.broadcast_to(angles_deg, (len(some), len(angles_deg))), constants))
     return replace(conditional, model=focused(conditional.model, x, min(_OWN_ERROR, _OWN_SHARE * noise)))
 

@@ -61,7 +61,7 @@ _LEAST_NOISE = 0.01
 
 def scan_library(conditional: ConditionalPosterior, size: int, rng: np.random.Generator) -> Array:
     """Constants drawn from their prior that meet the constraints (9), (size or fewer, n_constants)."""
-    n = conditional.template.model.parameters.size
+    n = conditional.n_constants
     drawn = conditional.parameters.sample(rng, 8 * size)
     return np.asarray(drawn[np.isfinite(conditional.template.log_prior(drawn))][:size, :n])
 
@@ -93,21 +93,21 @@ def _scanned(
     conditional: ConditionalPosterior, angles_deg: Array, library: Array, n: int
 ) -> tuple[Array, Array]:
     m, p = len(angles_deg), len(library)
-    parameters = conditional.template.model.parameters
+    parameters, n_constants = conditional.parameters, conditional.n_constants
     measured = conditional.template.measurement.frequencies
     at = conditional.at(np.repeat(angles_deg, p, axis=0))
-    found = at.predict(np.tile(library, (m, 1)))[:, : len(measured)].reshape(m, p, -1)
+    found = at.predict(np.tile(conditional.nominal(library), (m, 1)))[:, : len(measured)].reshape(m, p, -1)
     ratio = np.log(measured / found)
-    moduli = np.array([split_name(name)[1][0] in "EG" for name in parameters.names])
+    moduli = np.array([split_name(name)[1][0] in "EG" for name in parameters.names[:n_constants]])
     # the factors that keep every stiffness within its bounds
-    low = np.where(moduli, parameters.lower / library, 0.0).max(axis=1)
-    high = np.where(moduli, parameters.upper / library, np.inf).min(axis=1)
+    low = np.where(moduli, parameters.lower[:n_constants] / library, 0.0).max(axis=1)
+    high = np.where(moduli, parameters.upper[:n_constants] / library, np.inf).min(axis=1)
     factor = np.clip(np.exp(2.0 * ratio.mean(axis=2)), low, high)
     misfit = np.sqrt(np.mean((ratio - 0.5 * np.log(factor)[..., None]) ** 2, axis=2))
     best = np.argsort(misfit, axis=1, kind="stable")[:, :n]
     scale, misfit = (np.take_along_axis(a, best, axis=1) for a in (factor, misfit))
     scale = scale[..., None]
-    starts = np.where(moduli, scale * library[best], library[best])
+    starts = conditional.nominal(np.where(moduli, scale * library[best], library[best]))
     if conditional.template.noise_is_inferred:
         prior = conditional.parameters.parameters[-1].prior
         amplitude = np.clip(misfit, 2.0 * prior.lower, 0.5 * prior.upper)
@@ -374,7 +374,7 @@ def about(
     rows = rng.permutation(len(draws))[:_NEAR_SETS]
     angles, draws = angles[rows], draws[rows]
     noise = float(np.quantile(conditional.relative_noise(draws).min(axis=1), _LEAST_NOISE))
-    x = np.column_stack((angles, draws[:, : conditional.template.model.parameters.size]))
+    x = np.column_stack((angles, draws[:, : conditional.n_constants]))
     return replace(
         conditional, model=focused(conditional.model, x, min(_NEAR_ERROR, _NEAR_SHARE * noise), _share(noise))
     )

@@ -599,7 +599,7 @@ def combined_posterior(
 def basis_error_at(focused: ConditionalPosterior, grid_deg: Array, drawn: Evaluated, rows: Array) -> float:
     """Largest relative error of a frequency by the basis for the posterior, from full solves at draws."""
     rows = rows[:_BASIS_SETS]
-    x = drawn.conditionals.draws[rows, 0, : focused.template.model.parameters.size]
+    x = drawn.conditionals.draws[rows, 0, : focused.n_constants]
     return float(basis_error(focused.model, np.column_stack((grid_deg[drawn.sequences[rows]], x))).max())
 
 

@@ -26,7 +26,8 @@ _DISAGREE = 5.0
 
 def stacking_notices(result: StackingPosterior, mixture: StackingMixture, fit: BestFit) -> tuple[Notice, ...]:
     """Every reason not to trust the probabilities as they stand."""
-    draws = dict(zip(result.conditional.parameters.names, mixture.parameters.T, strict=True))
+    n = result.conditional.n_constants
+    draws = dict(zip(result.conditional.parameters.names[:n], mixture.parameters.T[:n], strict=True))
     return (
         *_of_fit(result, fit),
         *_of_sums(result),

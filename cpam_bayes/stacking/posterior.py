@@ -18,7 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cpam_bayes.errors import PlateFileError
 from cpam_bayes.forward_model.build import reduced_model
+from cpam_bayes.forward_model.known_errors import common_errors
 from cpam_bayes.forward_model.model import angle_parameters, reference_vector
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.three_dimensions import (
@@ -42,11 +44,15 @@ from cpam_bayes.inference.sampling import arviz_data, by_user_name, hashed, swar
 from cpam_bayes.inference.student_mixture import Weighted, weighted
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.parallel import counted, run
-from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate import Specimen, angle_grid
+from cpam_bayes.plate import Measurement, Specimen, angle_grid
 from cpam_bayes.running import TimeIsUpError, cut_short, single_blas_thread, time_limit
-from cpam_bayes.stacking.conditional import ConditionalFits, ConditionalPosterior, conditional_posterior
-from cpam_bayes.stacking.evaluation import of_sequence, scan_library
+from cpam_bayes.stacking.conditional import (
+    CommonErrors,
+    ConditionalFits,
+    ConditionalPosterior,
+    conditional_posterior,
+)
+from cpam_bayes.stacking.evaluation import of_sequence, scan_library, scanned_starts
 from cpam_bayes.stacking.queries import GivenLayup
 from cpam_bayes.stacking.records import (
     DEFAULT_SETTINGS,
@@ -56,7 +62,7 @@ from cpam_bayes.stacking.records import (
     merge_indistinguishable,
 )
 from cpam_bayes.stacking.search import by_surrogate, exhaustive
-from cpam_bayes.stacking.symmetry import members, plate_symmetries, ply_sums
+from cpam_bayes.stacking.symmetry import PlySums, members, plate_symmetries, ply_sums
 
 Array = NDArray[Any]
 
@@ -64,6 +70,11 @@ Array = NDArray[Any]
 _SPARE_MODES = 4
 # Sequences over which the error of theory is averaged: a known layup is needed for it.
 _THEORY_SEQUENCES = 32
+# Sequences of which the one that comes nearest the list tells what its frequencies have in common.
+_TRIED = 128
+# Noise beside which errors in common are judged where none is stated, their least share of it, and how many
+# directions of them are parameters at most.
+_USUAL_NOISE, _COUNTS, _MOST_COMMON = 0.002, 0.5, 3
 # Constants that optimisations may start from.
 _LIBRARY_SIZE = 96
 # Fractions of the largest noise at which the two common starts begin.
@@ -84,7 +95,8 @@ def stacking_posterior(
 ) -> StackingPosterior:
     """The probability of every stacking sequence on the grid of a specimen's unknown angles.
 
-    p(s | f) is proportional to Z_s, the evidence of sequence s: all have the same prior probability.
+    p(s | f) is proportional to Z_s, the evidence of sequence s: all have the same prior probability. Errors
+    of sizes, mass and frequency scale are integrated over in it, as factors of all frequencies.
 
     progress : is called with the pieces of the enumeration that are done, and with all.
 
@@ -115,18 +127,20 @@ def stacking_problem(
 ) -> StackingProblem:
     """The problem that ``stacking_posterior`` solves, its reduced model built; raises as that does."""
     measurement, unknowns = required(specimen)
-    layup = specimen.plate.layup
-    if not layup.n_unknown:
-        raise ValueError(f'{specimen.source}: layup {layup.text} has no unknown angle; write "?" for one')
-    grid = angle_grid(specimen.angle_grid_deg)
-    few = settings.enumerates(len(grid) ** layup.n_unknown)
-    sums = None if few and (layup.kinds or not layup.is_symmetric) else ply_sums(layup, grid)
+    layup, grid = specimen.plate.layup, angle_grid(specimen.angle_grid_deg)
+    sums = sums_of(specimen, settings)
     n_modes = measurement.size + (0 if measurement.complete else _SPARE_MODES)
     parameters = angle_parameters(specimen).union(unknowns)
     model = reduced_model(specimen, parameters, n_modes, bias=theory_bias(specimen), notify=notify)
-    by_theory = _theory_error(specimen, model, grid, np.random.default_rng([seed, 10]))
-    error = np.sqrt(model.full.error**2 + model.tolerance**2 + by_theory**2)
-    conditional = conditional_posterior(model, layup.n_unknown, measurement, error)
+    by_solver = np.hypot(model.full.error, model.tolerance)
+    as_stated = conditional_posterior(model, layup.n_unknown, measurement, by_solver)
+    library = scan_library(as_stated, _LIBRARY_SIZE, np.random.default_rng([seed, 8]))
+    rng = np.random.default_rng([seed, 10])
+    by_theory = _theory_error(specimen, model, grid, rng)
+    nearest = _nearest(as_stated, grid, library, rng)
+    common, left = _common(_in_common(specimen, model, nearest), measurement)
+    error = np.sqrt(by_solver**2 + by_theory**2 + left**2)
+    conditional = conditional_posterior(model, layup.n_unknown, measurement, error, common)
     return StackingProblem(
         specimen=specimen,
         conditional=conditional,
@@ -134,10 +148,37 @@ def stacking_problem(
         grid_deg=grid,
         sums=sums,
         starts=common_starts(specimen, conditional),
-        library=scan_library(conditional, _LIBRARY_SIZE, np.random.default_rng([seed, 8])),
+        library=library,
         settings=settings,
         executor=executor,
     )
+
+
+def sums_of(specimen: Specimen, settings: StackingSettings = DEFAULT_SETTINGS) -> PlySums | None:
+    """Sums over plies of a specimen with unknown angles, None where sequences are few and these do not do.
+
+    Raises ``PlateFileError`` without an unknown angle, and for a layup that is unsymmetric or of several
+    kinds of plies with too many.
+    """
+    layup, grid = specimen.plate.layup, angle_grid(specimen.angle_grid_deg)
+    if not layup.n_unknown:
+        raise PlateFileError(
+            f"{specimen.source}: plate.layup: received {layup.text}, which has no unknown angle; write "
+            '"?" for one'
+        )
+    few = settings.enumerates(len(grid) ** layup.n_unknown)
+    if few and (layup.kinds or not layup.is_symmetric):
+        return None
+    try:
+        return ply_sums(layup, grid)
+    except ValueError as error:
+        raise PlateFileError(f"{specimen.source}: plate.layup: {error}") from None
+
+
+def _nearest(as_stated: ConditionalPosterior, grid: Array, library: Array, rng: np.random.Generator) -> Array:
+    """Of sequences drawn evenly that whose frequencies come nearest the list, (k,) degrees."""
+    drawn = np.unique(rng.choice(grid, size=(_TRIED, as_stated.n_angles)), axis=0)
+    return np.asarray(drawn[scanned_starts(as_stated, drawn, library, 1)[1][:, 0].argmin()])
 
 
 def _theory_error(specimen: Specimen, model: ReducedModel, grid: Array, rng: np.random.Generator) -> Array:
@@ -156,15 +197,45 @@ def _theory_error(specimen: Specimen, model: ReducedModel, grid: Array, rng: np.
     return np.asarray(np.sqrt(squared / _THEORY_SEQUENCES))
 
 
+def _in_common(specimen: Specimen, model: ReducedModel, angles: Array) -> Array:
+    """Relative errors of the modes of a sequence (k,) that all have in common, as of ``common_errors``.
+
+    A standard deviation of each by sizes, mass, frequency scale and theory, (n_errors, n_modes).
+    """
+    layup = specimen.plate.layup.with_angles(angles)
+    one = replace(specimen, plate=replace(specimen.plate, layup=layup))
+    values = dict(zip(model.parameters.names, reference_vector(specimen, model.parameters), strict=True))
+    constants = {name: float(values[name]) for name in specimen.unknowns.names}
+    return np.array(list(common_errors(one, model.full, constants, np.arange(model.n_modes)).values()))
+
+
+def _common(errors: Array, measurement: Measurement) -> tuple[CommonErrors, Array]:
+    """Principal directions of relative errors (k, n), and the scatter of each mode by the rest, (n,).
+
+    Thickness, mass and scale move all frequencies nearly alike: one factor has nearly all of it. What is
+    small beside the noise is scatter.
+    """
+    relative = _USUAL_NOISE if measurement.relative_std is None else measurement.relative_std
+    noise = measurement.noise_sd(relative) / measurement.frequencies
+    _, sizes, directions = np.linalg.svd(errors, full_matrices=False)
+    along = (sizes[:, None] * directions)[:_MOST_COMMON]
+    sd = np.sqrt(np.mean(along**2, axis=1))
+    counts = sd >= _COUNTS * noise.min()
+    along, sd = along[counts], sd[counts]
+    sign = np.where(along.sum(axis=1) < 0.0, -1.0, 1.0)
+    left = np.sqrt(np.maximum(np.sum(errors**2, axis=0) - np.sum(along**2, axis=0), 0.0))
+    return CommonErrors(sd, along * (sign / sd)[:, None]), left
+
+
 def common_starts(specimen: Specimen, conditional: ConditionalPosterior) -> Array:
     """Starts of every optimisation, (2, n): the reference constants with little noise, the middle with much.
 
     Raises ``ValueError`` if neither meets the constraints (9).
     """
     p, template = conditional.parameters, conditional.template
-    n = template.model.parameters.size
-    starts = np.empty((2, p.size))
-    starts[0, :n] = reference_vector(specimen, template.model.parameters)
+    n = conditional.n_constants
+    starts = np.ones((2, p.size))
+    starts[0, :n] = reference_vector(specimen, template.model.parameters)[:n]
     starts[1, :n] = 0.5 * (p.lower[:n] + p.upper[:n])
     if template.noise_is_inferred:
         prior = p.parameters[-1].prior
@@ -208,28 +279,6 @@ EMCEE, IMPORTANCE = "emcee", "importance sampling"
 
 
 @dataclass(frozen=True, slots=True)
-class Shifts:
-    """Relative shifts of n parameters, exp(mu + z S), z (k,) standard normal numbers, within their bounds.
-
-    mean : (n,) mu. each : (k, n) S.
-    """
-
-    parameters: ParameterSet
-    mean: Array
-    each: Array
-
-    def of_draws(self, draws: Array, rng: np.random.Generator) -> Array:
-        """Draws (m, n) with shifts of their own."""
-        factors = np.exp(self.mean + rng.standard_normal((len(draws), len(self.each))) @ self.each)
-        return np.asarray(np.clip(draws * factors, self.parameters.lower, self.parameters.upper))
-
-    def of_moments(self, mean: Array, sd: Array) -> tuple[Array, Array]:
-        """Means and standard deviations (n,) with them, to first order."""
-        relative = np.linalg.norm(self.each, axis=0)
-        return mean * np.exp(self.mean), np.hypot(sd, relative * mean)
-
-
-@dataclass(frozen=True, slots=True)
 class Moments:
     """Means and standard deviations of n parameters, and their standard errors, (n,) each."""
 
@@ -237,11 +286,6 @@ class Moments:
     sd: Array
     mean_error: Array
     sd_error: Array
-
-    def shifted(self, shifts: Shifts) -> Moments:
-        """With shifts of the parameters."""
-        mean, sd = shifts.of_moments(self.mean, self.sd)
-        return replace(self, mean=mean, sd=sd, sd_error=self.sd_error * self.sd / sd)
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,15 +317,6 @@ class SampledComponent:
         z_sd = (a.sd - b.sd) / np.hypot(a.sd_error, b.sd_error)
         return float(np.max(np.abs(np.concatenate((z_mean, z_sd)))))
 
-    def shifted(self, shifts: Shifts, rng: np.random.Generator) -> SampledComponent:
-        """With shifts of the parameters."""
-        return replace(
-            self,
-            draws=shifts.of_draws(self.draws, rng),
-            chains=self.chains.shifted(shifts),
-            importance=self.importance.shifted(shifts),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class StackingMixture:
@@ -296,7 +331,6 @@ class StackingMixture:
     emcee_fraction : probability of the classes sampled by emcee.
     listed_fraction : probability of the other classes that are listed.
     drawn_fraction : probability of all the rest, which sequences drawn from it represent.
-    tolerances : shifts by sizes, mass and frequency scale, which draws and moments have in them.
     """
 
     components: tuple[SampledComponent, ...]
@@ -308,7 +342,6 @@ class StackingMixture:
     emcee_fraction: float
     listed_fraction: float
     drawn_fraction: float
-    tolerances: Shifts
     seconds: float
 
     @property
@@ -484,33 +517,8 @@ def _combined(
         emcee_fraction=float(weight[:n].sum()),
         listed_fraction=float(weight[n:listed].sum()),
         drawn_fraction=float(weight[listed:].sum()),
-        tolerances=_shifts(answer, np.zeros(0), np.zeros((0, 0))),
         seconds=time.perf_counter() - start,
     )
-
-
-def with_tolerances(
-    answer: StackingPosterior, mixture: StackingMixture, shifts: tuple[Array, Array], seed: int
-) -> StackingMixture:
-    """The mixture with errors of what is known to a tolerance, to first order.
-
-    shifts : mean and spread of those of the constants, as of ``Absorbed.shifts``
-    """
-    rng, tolerances = np.random.default_rng([seed, 9]), _shifts(answer, *shifts)
-    return replace(
-        mixture,
-        components=tuple(c.shifted(tolerances, rng) for c in mixture.components),
-        given=None if mixture.given is None else mixture.given.shifted(tolerances, rng),
-        parameters=tolerances.of_draws(mixture.parameters, rng),
-        tolerances=tolerances,
-    )
-
-
-def _shifts(answer: StackingPosterior, mean: Array, each: Array) -> Shifts:
-    """Shifts of the first parameters, the constants; the noise has none."""
-    parameters = answer.conditional.parameters
-    more = (0, parameters.size - len(mean))
-    return Shifts(parameters, np.pad(mean, more), np.pad(each, ((0, 0), more)))
 
 
 def _spread(pool: int, number: int, rng: np.random.Generator) -> Array:
@@ -529,7 +537,8 @@ def inference_data(answer: StackingPosterior, mixture: StackingMixture, command:
     angles over `ply` and `angle`; observed_data, the measured frequencies over `mode`. Attributes: command,
     versions, plate, seed, hash of the problem, size of the credible set.
     """
-    names = answer.conditional.parameters.names
+    shown = answer.conditional.shown
+    names = tuple(answer.conditional.parameters.names[i] for i in shown)
     frequencies = answer.conditional.template.measurement.frequencies
     data = arviz_data(
         command,
@@ -550,7 +559,7 @@ def inference_data(answer: StackingPosterior, mixture: StackingMixture, command:
         },
         {
             "posterior": {
-                **by_user_name(names, mixture.parameters[None]),
+                **by_user_name(names, mixture.parameters[None][..., shown]),
                 "angle_deg": mixture.angles_deg[None],
                 "component": mixture.origin[None],
             },

@@ -86,8 +86,8 @@ class BestFit:
     residual : (n,) predicted / measured - 1.
     missed : (k,) Hz, modes in the range of the list that it lacks.
     p_value : probability that the noise stated alone leaves squared residuals with such a sum or a larger
-    one, chi-square with as many degrees of freedom as frequencies are paired, as if nothing were fitted, so
-    that a small one is no accident; ``None`` where the noise is inferred or no frequency is paired.
+    one, chi-square with as many degrees of freedom as frequencies are paired beyond the number of constants,
+    one at least; ``None`` where the noise is inferred or no frequency is paired.
     noise : relative, the root mean square of what is stated, or the posterior mean where it is inferred.
     bounds : constants at a bound, and which, "lower" or "upper".
     """
@@ -105,7 +105,7 @@ class BestFit:
 def best_fit(answer: StackingPosterior) -> BestFit:
     """The fit of the first stacking sequence listed."""
     template, first = answer.conditional.template, answer.components[:1]
-    x, n = first.fits.x, template.model.parameters.size
+    x, n = first.fits.x, answer.conditional.n_constants
     p = template.parameters
     ends = [bound_of(*row) for row in zip(x[0, :n], p.lower[:n], p.upper[:n], strict=True)]
     bounds = [(name, end) for name, end in zip(p.names, ends, strict=False) if end is not None]
@@ -122,7 +122,7 @@ def best_fit(answer: StackingPosterior) -> BestFit:
         i = np.flatnonzero(paired)
         sigma = template.noise(x, frequencies[None])[0, i, pairing.mode[i]]
         if len(i):
-            p_value = float(chi2.sf(np.sum(((measured - predicted)[i] / sigma) ** 2), len(i)))
+            p_value = float(chi2.sf(np.sum(((measured - predicted)[i] / sigma) ** 2), max(len(i) - n, 1)))
     residual = predicted / measured - 1.0
     constants = dict(zip(p.names[:n], x[0, :n].tolist(), strict=True))
     missed = frequencies[pairing.missed]

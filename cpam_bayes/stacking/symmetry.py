@@ -463,7 +463,7 @@ def ply_sums(layup: Layup, grid_deg: Array) -> PlySums:
     """
     if layup.kinds or not layup.is_symmetric:
         raise ValueError(
-            f"layup {layup.text}: {len(grid_deg)}^{layup.n_unknown} sequences need a symmetric layup of "
+            f"received {layup.text}; {len(grid_deg)}^{layup.n_unknown} sequences need a symmetric layup of "
             "equal plies; end it with _s, give more of its angles, or take a coarser angle_grid_deg"
         )
     z = np.linspace(-0.5, 0.5, layup.n_plies + 1)

@@ -4,10 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 import cpam_bayes as cb
 from cpam_bayes.forward_model.build import reduced_model
-from cpam_bayes.forward_model.model import angle_parameters, reference_vector, training_sets
+from cpam_bayes.forward_model.model import (
+    angle_parameters,
+    reference_vector,
+    training_sets,
+    with_references,
+)
 from cpam_bayes.forward_model.reduced import ReducedModel, focused
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.inference.sampling import importance_evidence as known_evidence
@@ -29,6 +35,7 @@ from cpam_bayes.stacking.search import noisier_seeds
 from cpam_bayes.stacking.symmetry import all_sequences, classes, members
 from cpam_bayes.stacking.training import TrainingSettings
 from tests.hybrids import hybrid
+from tests.plate_file import described
 from tests.stacking.cases import TRUE, listed
 
 QUICK = StackingSettings(draws=50, listed=72, log2_points=7)
@@ -185,7 +192,7 @@ def test_of_a_hybrid_the_sequence_and_a_modulus_of_each_material_are_found() -> 
     found = given_layup(answer, np.array([45.0, -45.0]))
     assert found.index == 0
     assert found.probability * answer.multiplicity[0] > 0.999
-    assert found.fits.x[0] / 1e9 == pytest.approx([121.2, 40.1], rel=2e-3)
+    assert found.fits.x[0, :2] / 1e9 == pytest.approx([121.2, 40.1], rel=2e-3)
 
 
 @pytest.mark.slow
@@ -205,6 +212,30 @@ def test_the_truth_is_among_the_few_sequences_that_are_good_with_more_noise() ->
         assert len(seeds) < 20
     noisy = stacking_problem(listed(layup, step, truth), 0, settings=settings)
     assert noisier_seeds(noisy, problem.sums, np.random.default_rng(0), lambda text: None) is None
+
+
+def test_a_thickness_that_is_known_roughly_counts_in_the_evidence() -> None:
+    """One frequency of a narrow strip along the fibres, f ~ h E1^0.5: one Gaussian."""
+    sd, e1_sd, noise, listed_hz = 0.06, 4.0, 0.002, 222.0
+    material = {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8, "sd": {"E1_GPa": e1_sd}}
+    strip = described(
+        (300.0, 20.0, 2.1),
+        1409.0,
+        material,
+        layup="[?_2/0_2]_s",
+        unknowns={"E1_GPa": [60.0, 220.0], "angle_grid_deg": 90.0},
+        measurement={"frequencies_hz": [listed_hz], "relative_std": noise},
+    )
+    strip["plate"]["sd"] = {"thickness_mm": sd, "density_kg_m3": 0.0, "length_mm": 0.0, "width_mm": 0.0}
+    answer = stacking_posterior(with_references(read_plate(strip)), 0)
+    (first,) = np.flatnonzero(answer.top[:, 0] == 0.0)
+    along = {**strip, "plate": {**strip["plate"], "layup": "[0_8]"}}
+    away = np.log(listed_hz / float(cb.forward(along, n_modes=1).frequencies[0]))
+    spread = np.hypot(noise, np.hypot(sd / 2.1, 0.5 * e1_sd / 132.0))
+    expected = norm.logpdf(away / spread) - np.log(spread * listed_hz)
+    assert answer.log_evidence[first] == pytest.approx(expected, abs=0.1)
+    # the thickness as stated would cost as much as this
+    assert away**2 / (2.0 * (noise**2 + (0.5 * e1_sd / 132.0) ** 2)) > 2.0
 
 
 @pytest.fixture(scope="module")

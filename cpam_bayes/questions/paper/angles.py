@@ -320,8 +320,11 @@ def _inner_plies(rows: Sequence[Row]) -> str:
     weighed = [row for row in rows if "bits_1" in row.details]
     by_bits = bool(weighed) and _chance_of(_less_of_the_innermost(weighed), len(weighed)) <= _CHANCE
     shown = _SHOWN[by_bits, more > uniform + _BEYOND_CHANCE * sd]
+    is_few = bool(weighed) and _chance_of(len(weighed), len(weighed)) > _CHANCE
+    few = "; so few lists cannot show it by their bits" if is_few else ""
     return (
-        f"That inner plies are more sensitive to noise than outer ones, as the paper says, is shown {shown}."
+        "That inner plies are more sensitive to noise than outer ones, as the paper says, is shown "
+        f"{shown}{few}."
     )
 
 
