@@ -61,12 +61,10 @@ def angles_text(angles_deg: Iterable[float]) -> str:
 
 
 def constants_by_name(answer: StackingPosterior, values: NDArray[Any]) -> dict[str, float]:
-    """The constants by name, in the units of the plate file."""
-    return {
-        user_name(name): to_user(name, float(v))
-        for name, v in zip(answer.conditional.parameters.names, values, strict=True)
-        if name in answer.specimen.unknowns.names
-    }
+    """The constants by name, in the units of the plate file; values : of all parameters, constants first."""
+    n = answer.conditional.n_constants
+    named = zip(answer.conditional.parameters.names[:n], values[:n], strict=True)
+    return {user_name(name): to_user(name, float(v)) for name, v in named}
 
 
 _RANK: Final = Column("rank", None, lambda s: s.i + 1, number=True)
