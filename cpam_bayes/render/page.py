@@ -71,6 +71,7 @@ TERMS: Final = {
     "residual": "predicted / measured - 1",
     "rms": "root mean square, here of the relative residuals",
     "signature": "how a cause shifts the frequencies, less what the constants can imitate",
+    "walker": "one of the points that an ensemble sampler moves",
 }
 """Word -> its meaning on a page, as docs/glossary.md has it."""
 

@@ -22,7 +22,7 @@ from validation.reporting import listed, markdown_table, paragraph
 
 Record = dict[str, Any]
 
-# Names of a wrong claim, and kinds of wrong claims, that are told in short.
+# Names of a wrong claim that are told in short.
 _NAMED = 2
 
 
@@ -177,8 +177,8 @@ def _way(row: Record, wrong: Sequence[Record]) -> str:
     counted = f"{row['number']} of {row['of']}"
     if row["way"] != scoring.MISSED:
         kinds = Counter((tuple(w["causes"]), tuple(w["claimed"])) for w in wrong)
-        said = [_called(*kind, number) for kind, number in kinds.most_common(_NAMED)]
-        return f"{row['way']} ({counted}{', among them' * (len(kinds) > _NAMED)}: {'; '.join(said)})"
+        (kind, _), *others = kinds.most_common()
+        return f"{row['way']} ({counted}{', as' if others else ':'} {_called(*kind)})"
     if not row["from"]:
         return (
             f"errors that noise or constants hide (signal to noise below {row['below']:g}: {counted} missed)"
@@ -188,10 +188,10 @@ def _way(row: Record, wrong: Sequence[Record]) -> str:
     return f"clear errors (from {row['from']:g}: {counted} missed)"
 
 
-def _called(hidden: Sequence[str], claimed: Sequence[str], number: int) -> str:
+def _called(hidden: Sequence[str], claimed: Sequence[str]) -> str:
     named = _code(claimed)
     called = " or ".join((*named[:_NAMED], *("others" for _ in named[_NAMED : _NAMED + 1])))
-    return f"{listed(_code(hidden)) or 'nothing'} called {called}{f', {number} times' * (number > 1)}"
+    return f"{listed(_code(hidden)) or 'nothing'} called {called}"
 
 
 def _between(row: Record) -> str:
