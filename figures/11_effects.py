@@ -73,7 +73,7 @@ def _panel(axes: Axes, effect: dict[str, Any], labels: list[str]) -> None:
 def _size(effect: dict[str, Any]) -> str:
     if effect["unit"] == "mode":
         return f"mode {effect['size']:g} missed"
-    return f"{effect['size']:g} {effect['unit']}".strip()
+    return f"{effect['size']:.3g} {effect['unit']}".strip()
 
 
 def _short(label: str) -> str:
