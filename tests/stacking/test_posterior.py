@@ -238,6 +238,34 @@ def test_a_thickness_that_is_known_roughly_counts_in_the_evidence() -> None:
     assert away**2 / (2.0 * (noise**2 + (0.5 * e1_sd / 132.0) ** 2)) > 2.0
 
 
+@pytest.mark.slow
+@pytest.mark.weekly
+def test_probabilities_of_layups_are_right_where_a_thickness_is_known_to_3_percent() -> None:
+    """Layup, constants and thickness drawn from their priors: no probability near one is wrong."""
+    rng, scores = np.random.default_rng(78), []
+    sizes = {"thickness_mm": 0.06, "density_kg_m3": 0.0, "length_mm": 0.0, "width_mm": 0.0}
+    sheet = {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8}
+    known_to = {"E1_GPa": 1.32, "E2_GPa": 0.091, "G12_GPa": 0.048}
+    for _ in range(20):
+        angle, h = abs(float(rng.choice(np.arange(-85.0, 91.0, 5.0)))), 2.0 + 0.06 * rng.standard_normal()
+        true = {name: v + known_to.get(name, 0.0) * rng.standard_normal() for name, v in sheet.items()}
+        plate = described((300.0, 120.0, h), 1500.0, true, layup=f"[{angle:g}_2/0_2]_s")
+        f = cb.forward(plate, n_modes=3).frequencies * (1.0 + 0.003 * rng.standard_normal(3))
+        stated = described(
+            (300.0, 120.0, 2.0),
+            1500.0,
+            {**sheet, "sd": known_to},
+            layup="[?_2/0_2]_s",
+            unknowns={"E1_GPa": [100, 160], "E2_GPa": [6, 13], "G12_GPa": [3, 7], "angle_grid_deg": 5.0},
+            measurement={"frequencies_hz": np.sort(f).round(3).tolist(), "relative_std": 0.003},
+        )
+        stated["plate"]["sd"] = sizes
+        answer = stacking_posterior(with_references(read_plate(stated)), 0)
+        same = np.abs(answer.top[:, 0]) == angle
+        scores.append(np.log(max(float(np.sum((answer.probability * answer.multiplicity)[same])), 1e-12)))
+    assert np.mean(scores) > -0.4
+
+
 @pytest.fixture(scope="module")
 def own(specimen: Specimen) -> ConditionalPosterior:
     assert specimen.measurement is not None
