@@ -45,7 +45,7 @@ def _norm(values: list[float]) -> float:
 def _all(found: dict[str, Any]) -> Figure:
     effects = found["effects"]
     rows = -(-len(effects) // COLUMNS)
-    new = figure(DOUBLE_MM, 12 + 28 * rows)
+    new = figure(DOUBLE_MM, 12 + 27 * rows)
     grid = new.subplots(rows, COLUMNS, squeeze=False).ravel()
     for axes, effect in zip(grid, effects, strict=False):
         _panel(axes, effect, found["plates"][effect["plate"]]["labels"])
