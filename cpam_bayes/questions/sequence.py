@@ -76,6 +76,7 @@ from cpam_bayes.stacking.posterior import (
     sample_mixture,
     stacking_posterior,
     sums_of,
+    with_angles,
 )
 from cpam_bayes.stacking.queries import (
     AngleInformation,
@@ -273,8 +274,7 @@ def stacking_result(
 def _reliances(answer: StackingPosterior, mixture: StackingMixture) -> tuple[Reliance, ...]:
     """Reliances of the constants over all sequences."""
     parameters, names = answer.conditional.parameters, answer.specimen.unknowns.names
-    kept = [parameters.names.index(name) for name in names]
-    covariance = np.atleast_2d(np.cov(mixture.parameters[:, kept].T))
+    covariance = np.atleast_2d(np.cov(mixture.parameters[:, : len(names)].T))
     return reliances(names, covariance, np.array([parameters[name].prior.sd for name in names]))
 
 
@@ -303,8 +303,7 @@ def _printed(answer: StackingPosterior) -> GivenLayup | None:
 
 def _most_probable(answer: StackingPosterior) -> Specimen:
     """The specimen with the most probable angles."""
-    plate = answer.specimen.plate
-    return replace(answer.specimen, plate=replace(plate, layup=plate.layup.with_angles(answer.top[0])))
+    return with_angles(answer.specimen, answer.top[0])
 
 
 # Sequences on the first screen, and in the table behind it.
@@ -426,9 +425,7 @@ def _constants(result: StackingResult) -> tuple[Constant, ...]:
     """The constants over all sequences."""
     parameters, draws = result.answer.conditional.parameters, result.mixture.parameters
     reference, constants = result.specimen.material.constants, []
-    for i, name in enumerate(parameters.names):
-        if name not in result.specimen.unknowns.names:
-            continue
+    for i, name in enumerate(result.specimen.unknowns.names):
         low, high = np.quantile(draws[:, i], (0.025, 0.975))
         prior, sd = parameters[name].prior, float(draws[:, i].std())
         constants.append(
@@ -575,9 +572,7 @@ def _document(result: StackingResult, sequences: Rows, frequencies: Rows) -> dic
 def _constant_keys(answer: StackingPosterior, mixture: StackingMixture) -> dict[str, dict[str, float]]:
     """Mean, sd and quantiles of the constants over the mixture's draws."""
     constants = {}
-    for i, name in enumerate(answer.conditional.parameters.names):
-        if name not in answer.specimen.unknowns.names:
-            continue
+    for i, name in enumerate(answer.specimen.unknowns.names):
         x = mixture.parameters[:, i] * to_user(name, 1.0)
         q025, q975 = np.quantile(x, (0.025, 0.975))
         constants[user_name(name)] = {

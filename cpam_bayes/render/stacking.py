@@ -160,14 +160,11 @@ class _Moments(NamedTuple):
 
 def mixture_table(answer: StackingPosterior, mixture: StackingMixture, given: GivenLayup | None) -> Table:
     """The constants over all sequences beside those given single ones."""
-    parameters = answer.conditional.parameters
     first = mixture.components[0].chains if mixture.components else None
     printed = None if mixture.given is None or given is None else mixture.given.chains
     reference = answer.specimen.material.constants
     rows = []
-    for i, name in enumerate(parameters.names):
-        if name not in answer.specimen.unknowns.names:
-            continue
+    for i, name in enumerate(answer.specimen.unknowns.names):
         unit = to_user(name, 1.0)
 
         def written(moments: Any, i: int = i, unit: float = unit) -> tuple[str, str] | None:
@@ -367,7 +364,7 @@ def constants_over_sequences(
 ) -> Figure:
     """Each constant's density over all sequences beside those given single sequences."""
     parameters = answer.conditional.parameters
-    chosen = [i for i, name in enumerate(parameters.names) if name in answer.specimen.unknowns.names]
+    chosen = range(answer.conditional.n_constants)
     columns = min(len(chosen), 4)
     rows = -(-len(chosen) // columns)
     figure = new_figure(max(6.0, 2.6 * columns), 0.8 + 2.1 * rows)

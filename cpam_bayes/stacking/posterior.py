@@ -175,6 +175,12 @@ def sums_of(specimen: Specimen, settings: StackingSettings = DEFAULT_SETTINGS) -
         raise PlateFileError(f"{specimen.source}: plate.layup: {error}") from None
 
 
+def with_angles(specimen: Specimen, angles: Array) -> Specimen:
+    """A specimen with values of its unknown angles (k,), degrees."""
+    layup = specimen.plate.layup.with_angles(angles)
+    return replace(specimen, plate=replace(specimen.plate, layup=layup))
+
+
 def _nearest(as_stated: ConditionalPosterior, grid: Array, library: Array, rng: np.random.Generator) -> Array:
     """Of sequences drawn evenly that whose frequencies come nearest the list, (k,) degrees."""
     drawn = np.unique(rng.choice(grid, size=(_TRIED, as_stated.n_angles)), axis=0)
@@ -191,7 +197,7 @@ def _theory_error(specimen: Specimen, model: ReducedModel, grid: Array, rng: np.
     x = reference_vector(specimen, model.parameters)
     for angles in rng.choice(grid, size=(_THEORY_SEQUENCES, layup.n_unknown)):
         x[: layup.n_unknown] = angles
-        one = replace(specimen, plate=replace(specimen.plate, layup=layup.with_angles(angles)))
+        one = with_angles(specimen, angles)
         squared += theory_error(one, model.predict(x[None]).frequencies[0]) ** 2
         squared += common_theory_errors(one)[THEORY_LEVEL] ** 2 - of_clamps**2
     return np.asarray(np.sqrt(squared / _THEORY_SEQUENCES))
@@ -202,8 +208,7 @@ def _in_common(specimen: Specimen, model: ReducedModel, angles: Array) -> Array:
 
     A standard deviation of each by sizes, mass, frequency scale and theory, (n_errors, n_modes).
     """
-    layup = specimen.plate.layup.with_angles(angles)
-    one = replace(specimen, plate=replace(specimen.plate, layup=layup))
+    one = with_angles(specimen, angles)
     values = dict(zip(model.parameters.names, reference_vector(specimen, model.parameters), strict=True))
     constants = {name: float(values[name]) for name in specimen.unknowns.names}
     return np.array(list(common_errors(one, model.full, constants, np.arange(model.n_modes)).values()))
