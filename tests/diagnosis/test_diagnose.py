@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cpam_bayes.diagnosis import diagnose as diagnosing
 from cpam_bayes.diagnosis import fit as gain
 from cpam_bayes.diagnosis.comparison import PlateCase
-from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
+from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis, diagnose_cases
 from cpam_bayes.diagnosis.evidence import weighing
 from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Claim, Hypothesis
@@ -34,6 +33,7 @@ from tests.diagnosis.toy_plates import (
     log_normal_density,
     measured,
     misread,
+    of_one,
     with_causes,
     with_slip,
 )
@@ -42,40 +42,50 @@ FALSE = tuple(
     Hypothesis("mode_identity", "list", f"frequency {i + 1} false", listed=ListChange(spurious=i), prior=0.01)
     for i in range(8)
 )
+# No cause shifts the modes so.
+WILD = 0.05 * np.array([1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
 
 
 def plate(shift: Array, *effects: Effect, name: str = "toy") -> PlateCase:
     return with_causes(measured(shift), *effects, name=name)
 
 
-def diagnosed(
-    monkeypatch: pytest.MonkeyPatch,
-    own: PlateCase,
-    *singles: Hypothesis,
-    gain: bool = True,
-    sets: bool = True,
-) -> Diagnosis:
-    every = [(h, (0,)) for h in (NOTHING, ANYTHING, *singles)]
-    monkeypatch.setattr(diagnosing, "hypotheses_of", lambda cases: every)
-    return diagnose_cases([own], gain=gain, sets=sets)
+def diagnosed(own: PlateCase, *singles: Hypothesis, gain: bool = False, sets: bool = True) -> Diagnosis:
+    return diagnose_cases(
+        [own], hypotheses=of_one(NOTHING, ANYTHING, *singles), gain=gain, sets=sets, power=False
+    )
 
 
-def test_a_clean_plate_has_nothing_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
-    own = plate(np.zeros(8), BENT, DENTED)
-    found = diagnosed(monkeypatch, own, hypothesis(BENT, 0.1), hypothesis(DENTED, 0.1))
-    assert found.claim.kind == "none"
-    assert found.extended is None
-    assert found.gain is None
-    assert found.members == ()
+def of(diagnosis: Diagnosis) -> dict[str, Cause]:
+    return {cause.name: cause for cause in diagnosis.causes}
+
+
+@pytest.mark.parametrize(
+    ("shift", "kind", "causes"),
+    [
+        (np.zeros(8), "none", set()),
+        (0.04 * BUMP + 0.04 * DENT, "pair", {"bent", "dented"}),
+        (WILD, "other", set()),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_each_claim_has_its_members_and_its_fit(shift: Array, kind: str, causes: set[str]) -> None:
+    own = plate(shift, BENT, DENTED)
+    found = diagnosed(own, hypothesis(BENT, 0.1), hypothesis(DENTED, 0.1), sets=kind == "pair")
+    assert (found.claim.kind, set(found.claim.causes)) == (kind, causes)
     assert sum(c.probability for c in found.causes) == pytest.approx(1.0)
-    assert {NONE, OTHER, "bent", "dented"} == {c.name for c in found.causes}
+    assert {NONE, OTHER, "bent", "dented"} <= set(of(found))
+    assert (found.extended is None) == (found.members == ()) == (kind == "none")
+    assert found.gain is None
+    if kind == "pair":
+        assert found.extended is not None
+        assert found.extended.rms < 2 * NOISE
 
 
-def test_a_cause_is_named_with_its_size_its_fit_and_its_gain(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cause_is_named_with_its_size_its_fit_and_its_gain() -> None:
     own = plate(0.03 * BUMP, BENT, DENTED)
-    found = diagnosed(monkeypatch, own, hypothesis(BENT, 0.1), hypothesis(DENTED, 0.1))
-    assert found.claim.kind == "named"
-    assert found.claim.causes == ("bent",)
+    found = diagnosed(own, hypothesis(BENT, 0.1), hypothesis(DENTED, 0.1), gain=True)
+    assert (found.claim.kind, found.claim.causes) == ("named", ("bent",))
     named = found.causes[0]
     f = own.measurement.frequencies
     with_it = exact_log_evidence(f, NOISE * f, (BUMP, 0.02))
@@ -102,86 +112,42 @@ def test_a_cause_is_named_with_its_size_its_fit_and_its_gain(monkeypatch: pytest
         assert high - low == pytest.approx(3.92 * sd, rel=0.1)
 
 
-def exact_evidences(f: Array, *causes: tuple[Array, float]) -> Array:
-    """Of the toy plate with its whole list, then without each frequency."""
-    slope = np.column_stack([SD * A, *(sd * d for d, sd in causes)]) * f[:, None]
-    covariance = slope @ slope.T + np.diag((NOISE * f) ** 2)
-    lists = [np.ones(8, dtype=bool), *(np.arange(8) != i for i in range(8))]
-    return np.array([log_normal_density(f[k], F0[k], covariance[np.ix_(k, k)]) for k in lists])
-
-
-def test_held_out_scores_are_conditional_densities(monkeypatch: pytest.MonkeyPatch) -> None:
-    own = plate(0.03 * BUMP, BENT)
-    found = diagnosed(monkeypatch, own, hypothesis(BENT, 0.1))
-    assert found.gain is not None
-    f = own.measurement.frequencies
-    with_it, plain = (v[0] - v[1:] for v in (exact_evidences(f, (BUMP, 0.02)), exact_evidences(f)))
-    expected = with_it - plain
-    # four evidences by importance sampling, 0.03 each
-    np.testing.assert_allclose(found.gain.held_out, expected, atol=0.25)
-    assert found.gain.held_out_difference == pytest.approx(sum(expected), abs=0.8)
-    assert found.gain.held_out_se == pytest.approx(np.sqrt(8) * np.std(expected, ddof=1), rel=0.1)
-
-
-def test_causes_that_look_alike_are_claimed_as_a_class(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_causes_that_look_alike_are_claimed_as_a_class() -> None:
     own = plate(0.03 * BUMP, BENT, TWIN, DENTED)
-    found = diagnosed(monkeypatch, own, *(hypothesis(e, 0.1) for e in (BENT, TWIN, DENTED)), gain=False)
-    assert found.claim.kind == "class"
-    assert set(found.claim.causes) == {"bent", "twin"}
-    by_name = {c.name: c for c in found.causes}
-    assert by_name["bent"].indistinguishable_from == ("twin",)
+    found = diagnosed(own, *(hypothesis(e, 0.1) for e in (BENT, TWIN, DENTED)))
+    assert (found.claim.kind, set(found.claim.causes)) == ("class", {"bent", "twin"})
+    assert of(found)["bent"].indistinguishable_from == ("twin",)
     assert sum(share for _, share in found.members) == pytest.approx(1.0)
     assert {t.hypothesis.cause for t, _ in found.members} == {"bent", "twin"}
 
 
-def test_a_cause_that_the_constants_absorb_is_reported_with_its_bias(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cause_that_the_constants_absorb_is_reported_with_its_bias() -> None:
     own = plate(np.zeros(8), STIFF, BENT)
-    found = diagnosed(monkeypatch, own, hypothesis(STIFF, 0.1), hypothesis(BENT, 0.1), gain=False)
-    absorbed = {c.name: c for c in found.causes}["stiff"]
+    found = diagnosed(own, hypothesis(STIFF, 0.1), hypothesis(BENT, 0.1))
+    absorbed = of(found)["stiff"]
     assert absorbed.absorbed
     assert absorbed.visible < 0.1
     size = found.signatures["stiff"].shift * NOISE * own.measurement.frequencies / F0
     expected = np.linalg.lstsq(A, size, rcond=None)[0]
     for i, name in enumerate(("E1", "G12")):
         assert absorbed.bias[name] == pytest.approx(expected[i], rel=0.1)
-    assert not {c.name: c for c in found.causes}["bent"].absorbed
+    assert not of(found)["bent"].absorbed
 
 
-def test_an_even_cause_is_told_by_its_magnitude(monkeypatch: pytest.MonkeyPatch) -> None:
-    own = plate(0.15**2 * DENT, WARP)
-    found = diagnosed(monkeypatch, own, hypothesis(WARP, 0.1), gain=False)
+def test_an_even_cause_is_told_by_its_magnitude() -> None:
+    found = diagnosed(plate(0.15**2 * DENT, WARP), hypothesis(WARP, 0.1))
     assert found.claim.causes == ("warp",)
     mean, sd, _ = found.causes[0].parameters["size of warp"]
     assert mean == pytest.approx(0.15, abs=3 * sd)
     assert sd < 0.02
 
 
-def test_two_causes_are_claimed_as_a_pair(monkeypatch: pytest.MonkeyPatch) -> None:
-    own = plate(0.04 * BUMP + 0.04 * DENT, BENT, DENTED)
-    found = diagnosed(monkeypatch, own, hypothesis(BENT, 0.1), hypothesis(DENTED, 0.1))
-    assert found.claim.kind == "pair"
-    assert set(found.claim.causes) == {"bent", "dented"}
-    assert found.extended is not None
-    assert found.extended.rms < 2 * NOISE
-
-
-def test_what_no_cause_explains_is_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    wild = 0.05 * np.array([1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
-    own = plate(wild, BENT)
-    found = diagnosed(monkeypatch, own, hypothesis(BENT, 0.1), gain=False, sets=False)
-    assert found.claim.kind == "other"
-    assert found.claim.causes == ()
-    assert found.extended is not None
-
-
 # The last is next to its equal: a list rounded to 1 Hz may hold one number twice.
 @pytest.mark.parametrize(("at", "share"), [(2, 0.5), (7, 0.5), (4, 0.0)])
-def test_a_false_peak_is_found_and_the_rest_refitted(
-    at: int, share: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_false_peak_is_found_and_the_rest_refitted(at: int, share: float) -> None:
     f = measured()
     listed = np.insert(f[:7], at, f[at - 1] + share * (f[at] - f[at - 1]))
-    found = diagnosed(monkeypatch, with_causes(listed, BENT), hypothesis(BENT, 0.1), *FALSE)
+    found = diagnosed(with_causes(listed, BENT), hypothesis(BENT, 0.1), *FALSE, gain=True)
     assert found.claim.causes == ("mode_identity",)
     assert found.causes[0].variant in {f"frequency {i + 1} false" for i in ({at} if share else {at - 1, at})}
     assert found.extended is not None
@@ -196,17 +162,14 @@ def test_a_false_peak_is_found_and_the_rest_refitted(
     assert np.all(np.isfinite(found.gain.held_out))
 
 
-def test_what_is_wrong_with_one_of_two_lists_is_left_out_of_that_list(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_is_wrong_with_one_of_two_lists_is_left_out_of_that_list() -> None:
     cases = [plate(np.zeros(8), name="one"), plate(with_slip(3, 0.15), name="two")]
     every = [
         (NOTHING, (0, 1)),
         (ANYTHING, (0, 1)),
         *((h, (k,)) for k in (0, 1) for h in map(misread, range(8))),
     ]
-    monkeypatch.setattr(diagnosing, "hypotheses_of", lambda cases: every)
-    found = diagnose_cases(cases)
+    found = diagnose_cases(cases, hypotheses=every, power=False)
     assert found.claim.causes == ("outlier",)
     assert found.causes[0].plates == ("two",)
     assert found.gain is not None
@@ -217,45 +180,28 @@ def test_what_is_wrong_with_one_of_two_lists_is_left_out_of_that_list(
     assert np.abs(np.delete(held_out, 11)).max() < 0.3 * held_out[11]
 
 
+# Held-out scores: ln p(f_i | others) = ln Z - ln Z without it
+
+
 @pytest.mark.slow
-def test_the_frequency_that_a_list_hypothesis_explains_is_told_by_its_own_list(
+def test_the_other_frequencies_are_left_out_beside_a_false_one_by_their_own_list(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Of two lists of eight, the fourth frequency of the second is the twelfth."""
     cases = [plate(np.zeros(8), name=name) for name in ("one", "two")]
-    for of, expected in (
-        (misread(3), [*range(16)]),
-        # without the false one the list has fifteen
-        (FALSE[3], [*range(11), *range(11, 15)]),
-    ):
-        t = weighing.Tested(of, (1,), weighing.marginal_of(cases, of, (1,)))
-        asked: list[int] = []
-        clean: list[bool] = []
+    t = weighing.Tested(FALSE[3], (1,), weighing.marginal_of(cases, FALSE[3], (1,)))
+    asked: list[int] = []
 
-        def recorded(
-            _: object,
-            asked_of: Hypothesis,
-            *__: object,
-            left_out: int,
-            asked: list[int] = asked,
-            clean: list[bool] = clean,
-            t: object = t,
-            **___: object,
-        ) -> object:
-            asked.append(left_out)
-            clean.append(asked_of.listed == ListChange() and not asked_of.parameters)
-            return t.marginal  # type: ignore[attr-defined]
+    def recorded(*_: object, left_out: int, **__: object) -> object:
+        asked.append(left_out)
+        return t.marginal
 
-        monkeypatch.setattr(gain, "marginal_of", recorded)
-        found = gain.left_out(cases, t, 16, None, 0.02)
-        assert asked == expected
-        if of.listed.misread:
-            # without the misread frequency the rest of the list has no error
-            assert np.flatnonzero(clean).tolist() == [11]
-        else:
-            # a false peak may lie anywhere below the last frequency
-            density = t.marginal.log_evidence - found[11]
-            assert density == pytest.approx(-np.log(cases[1].measurement.frequencies[-1]))
+    monkeypatch.setattr(gain, "marginal_of", recorded)
+    found = gain.left_out(cases, t, 16, None, 0.02)
+    assert asked == [*range(11), *range(11, 15)]
+    # a false peak may lie anywhere below the last frequency
+    density = t.marginal.log_evidence - found[11]
+    assert density == pytest.approx(-np.log(cases[1].measurement.frequencies[-1]))
 
 
 def test_a_misread_frequency_is_predicted_by_the_prior_of_its_error() -> None:
@@ -280,28 +226,29 @@ def test_a_misread_frequency_is_predicted_by_the_prior_of_its_error() -> None:
     assert found == pytest.approx(direct, abs=0.1)
 
 
-def test_held_out_scores_select_the_cause_again_without_each_frequency(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def exact_evidences(f: Array, *causes: tuple[Array, float]) -> Array:
+    """Of the toy plate with its whole list, then without each frequency."""
+    slope = np.column_stack([SD * A, *(sd * d for d, sd in causes)]) * f[:, None]
+    covariance = slope @ slope.T + np.diag((NOISE * f) ** 2)
+    lists = [np.ones(8, dtype=bool), *(np.arange(8) != i for i in range(8))]
+    return np.array([log_normal_density(f[k], F0[k], covariance[np.ix_(k, k)]) for k in lists])
+
+
+def test_held_out_scores_select_the_cause_again_without_each_frequency() -> None:
     """Of a faint cause: the mixture of plain and extended model, weighed by the other frequencies."""
     own = plate(0.006 * BUMP, BENT)
-    found = diagnosed(monkeypatch, own, hypothesis(BENT, 0.1), sets=False, gain=False)
+    found = diagnosed(own, hypothesis(BENT, 0.1), sets=False)
     bent = found.weighed.best_of("bent")
     assert 0.1 < bent.probability < 0.99
-    scored = gain.gain_of(
-        [own],
-        found.weighed,
-        Claim("named", ("bent",), 0.9),
-        [(bent, 1.0)],
-        found.baseline,
-        found.baseline,
-        0.02,
-    )
+    claim, fit = Claim("named", ("bent",), 0.9), found.baseline
+    scored = gain.gain_of([own], found.weighed, claim, [(bent, 1.0)], fit, fit, 0.02)
     f = own.measurement.frequencies
     plain, extended = exact_evidences(f), exact_evidences(f, (BUMP, 0.02))
     mixture = np.logaddexp(plain + np.log(0.5), extended + np.log(0.1))
     expected = (mixture[0] - mixture[1:]) - (plain[0] - plain[1:])
     assert scored.n_hypotheses >= 2
     np.testing.assert_allclose(scored.held_out, expected, atol=0.1)
+    assert scored.held_out_difference == pytest.approx(scored.held_out.sum())
+    assert scored.held_out_se == pytest.approx(np.sqrt(8) * np.std(scored.held_out, ddof=1))
     ahead = (extended + np.log(0.1) > plain + np.log(0.5))[1:]
     assert scored.stable == pytest.approx(ahead.mean(), abs=1e-12)

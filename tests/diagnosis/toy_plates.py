@@ -89,18 +89,6 @@ def even(direction: Array) -> Callable[[Array], tuple[Array, Array]]:
     return lambda t: (t[:, None] ** 2 * direction, 2.0 * t[:, None] * direction)
 
 
-def stepped(case: PlateCase, name: str, shift: Array) -> Hypothesis:
-    """A cause without a size, one relative shift, which this plate may have."""
-    effect = replace(cause(name, whole_normal(1.0)), parameters=())
-
-    def function(x: Array) -> tuple[Array, Array]:
-        f = F0 * np.exp((x - 1.0) @ A.T + shift)
-        return f, f[..., None] * A
-
-    case.extended[name, ""] = ToyModel(CONSTANTS, function)  # type: ignore[assignment]
-    return hypothesis(effect, 0.1)
-
-
 def cause(name: str, prior: Prior, *, is_even: bool = False, excludes: tuple[str, ...] = ()) -> Effect:
     """An effect of one parameter."""
     return Effect(
@@ -121,6 +109,11 @@ def hypothesis(effect: Effect, prior: float) -> Hypothesis:
     return Hypothesis(
         effect.name, effect.family, effect.variant, (effect,), parameters=effect.parameters, prior=prior
     )
+
+
+def of_one(*hypotheses: Hypothesis) -> list[tuple[Hypothesis, tuple[int, ...]]]:
+    """Hypotheses about the first plate."""
+    return [(h, (0,)) for h in hypotheses]
 
 
 def misread(i: int, prior: float = 0.01) -> Hypothesis:

@@ -1,17 +1,30 @@
-"""Importance sampling on models that are projected once more: the same answer from fewer vectors."""
+"""Evidences on models of real plates: projected once more, hard to integrate, shared out over workers."""
 
+import pickle
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
+from cpam_bayes.diagnosis.comparison import PlateCase
+from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
+from cpam_bayes.diagnosis.evidence import sampled as sharing
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
-from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
+from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal, shared_out
 from cpam_bayes.diagnosis.evidence.scan import marginal_of
+from cpam_bayes.diagnosis.evidence.weighing import weigh
+from cpam_bayes.diagnosis.next_test import next_measurements
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.inference.student_mixture import sobol_points
+from cpam_bayes.parallel import open_executor
+from cpam_bayes.plate import Measurement, builtin, read_plate
 from tests.diagnosed import aluminium_case, listed
+from tests.plate_file import described
+from tests.shared import once_a_run
+from validation.evidence_reference import ReferenceSettings, reference_evidence
 
 TOLERANCE = 2e-5
 
@@ -63,3 +76,177 @@ def test_evidence_and_moments_are_those_of_the_whole_models(tapered: Marginal) -
         *(m.moments()[0] for m in (found, expected)), expected.moments()[1], strict=True
     ):
         assert ours == pytest.approx(theirs, abs=0.02 * sd)
+
+
+# A damage anywhere: lists of C1 that hide one
+
+NOISE, N = 0.002, 10
+
+
+@once_a_run
+def plate() -> PlateCase:
+    waiting = Measurement(np.arange(1.0, N + 1.0), 0.0, NOISE, None, ("",) * N, complete=True)
+    return plate_case(replace(builtin("C1"), measurement=waiting))
+
+
+@pytest.mark.parametrize(
+    ("form", "damage", "least"),
+    [
+        ("bell", (0.6, 0.55, 0.7, 0.13), 100.0),
+        pytest.param("rectangle", (0.45, 0.89, 0.76, 0.07), 5.0, marks=pytest.mark.slow),
+        pytest.param("rectangle", (0.45, 0.93, 0.98, 0.18), 5.0, marks=pytest.mark.slow),
+    ],
+)
+def test_a_hidden_damage_is_found_with_a_known_evidence(
+    form: str, damage: tuple[float, ...], least: float
+) -> None:
+    case = plate()
+    hypotheses = hypotheses_of([case])
+    (plain,) = (h for h, _ in hypotheses if h.cause == "none")
+    (effect,) = (e for h, _ in hypotheses for e in h.effects if e.name == "damage" and e.local == form)
+    # a depth, a place and an extent
+    x = np.concatenate((case.models.samples.x[0], damage))
+    f = case.with_effect(effect).predict(x[None]).frequencies[0, :N]
+    f = f * (1.0 + NOISE * np.random.default_rng(1).standard_normal(N))
+    case = replace(case, measurement=replace(case.measurement, frequencies=np.sort(f)))
+    none = marginal_of([case], plain, (0,))
+    for hypothesis in (h for h, _ in hypotheses if h.cause == "damage"):
+        marginal = sampled_marginal(marginal_of([case], hypothesis, (0,), none=none))
+        assert marginal.log_evidence - none.log_evidence > least
+        assert marginal.error < 0.3
+        if hypothesis.effects[0].local == form:
+            mean, sd = marginal.moments()
+            at = list(marginal.sizes)
+            # of one list, so within three standard deviations
+            assert np.all(np.abs(mean[at] - damage) < 3.0 * sd[at])
+
+
+# A clamp that hardly gives is weighed, not given up: the median of its prior would be a gross error.
+# Frequencies of bricks with an ideal clamp.
+CONSTANTS = {"E1_GPa": 126.0, "E2_GPa": 8.7, "nu12": 0.3, "G12_GPa": 4.9}
+CLAMPED = described(
+    (262.0, 148.0, 2.4),
+    1570.0,
+    {"isotropic": False, **CONSTANTS, "sd": {name: 0.07 * value for name, value in CONSTANTS.items()}},
+    layup="[0/90]_2s",
+    edges="CFFF",
+    unknowns={"E1_GPa": [80.0, 200.0], "E2_GPa": [5.0, 16.0], "nu12": [0.15, 0.45], "G12_GPa": [2.5, 10.0]},
+    measurement={
+        "frequencies_hz": [42.2, 81.2, 263.7, 326.6, 616.0, 731.9, 759.9, 792.5, 1126.3, 1311.0],
+        "resolution_hz": 0.1,
+        "relative_std": 0.002,
+    },
+)
+SPRINGS = ("clamp_rotation", "clamp_translation", "soft_clamp")
+
+
+@pytest.mark.slow
+def test_springs_of_a_stiff_clamp_have_the_evidence_of_the_reference() -> None:
+    case = plate_case(read_plate(CLAMPED))
+    chosen = [(h, plates) for h, plates in hypotheses_of([case]) if h.cause in ("none", *SPRINGS)]
+    tested = {t.hypothesis.cause: t for t in weigh([case], chosen).tested}
+    assert set(tested) == {"none", *SPRINGS}
+    for cause in SPRINGS:
+        t = tested[cause]
+        slow = reference_evidence(
+            t.marginal.comparison,
+            t.columns,
+            0,
+            ReferenceSettings(draws=1024, nodes=101, log2_points=(12, 13)),
+        )
+        assert slow.error < 0.1
+        assert t.marginal.log_evidence == pytest.approx(slow.log_evidence, abs=0.3)
+        # springs that are hardly there are the plain model, times the prior of so little of each
+        least = len(t.hypothesis.parameters) * np.log(0.05)
+        assert t.marginal.log_evidence - tested["none"].marginal.log_evidence > least
+
+
+# Work on hypotheses: the same on any executor, with the models of this process in every answer
+
+CAUSES = {"none", "other", "thickness", "viscoelastic", "outlier"}
+
+
+def parts(*item: Any) -> tuple[Any, ...]:
+    """What was sent, as the worker has it, in another order."""
+    return item[::-1]
+
+
+def refusing(item: object) -> object:
+    raise ZeroDivisionError(item)
+
+
+def diagnosed_on(executor: Any) -> tuple[Diagnosis, tuple[object, ...]]:
+    case = aluminium_case()
+    case = listed(case, np.array([1.0, 1.0, 1.0, 1.03, 1.0, 1.0]))
+    some = [(h, at) for h, at in hypotheses_of([case]) if h.cause in CAUSES]
+    diagnosis = diagnose_cases([case], hypotheses=some, executor=executor)
+    return diagnosis, next_measurements(diagnosis, always=True, executor=executor)
+
+
+def numbers(diagnosis: Diagnosis) -> list[bytes]:
+    return [
+        np.array([t.marginal.log_evidence, t.probability, *t.marginal.moments()[0]]).tobytes()
+        for t in diagnosis.weighed.tested
+    ]
+
+
+@pytest.mark.slow
+def test_diagnosis_is_the_same_bit_for_bit_on_workers() -> None:
+    here, tests_here = diagnosed_on(None)
+    with open_executor("processes", 2) as executor:
+        there, tests_there = diagnosed_on(executor)
+    assert numbers(here) == numbers(there)
+    assert here.claim == there.claim
+    assert here.detectable == there.detectable
+    assert here.gain is not None
+    assert there.gain is not None
+    assert here.gain.held_out.tobytes() == there.gain.held_out.tobytes()
+    assert tests_here == tests_there
+
+
+def test_models_of_this_process_come_back() -> None:
+    case = aluminium_case()
+    effect = next(e for h, _ in hypotheses_of([case]) for e in h.effects if e.name == "thickness")
+    model = case.with_effect(effect)
+    paired = replace(case, modes=case.modes[::-1])
+    with ThreadPoolExecutor(1) as executor:
+        (answer,) = shared_out(parts, [case], [(case.models, model, paired, np.arange(3.0))], executor)
+    array, back, same_model, same_models = answer
+    assert same_models is case.models
+    assert same_model is model
+    assert back.models is case.models
+    assert back.extended is case.extended
+    assert np.array_equal(back.modes, paired.modes)
+    assert np.array_equal(array, np.arange(3.0))
+
+
+def test_what_items_have_in_common_is_sent_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    common = np.arange(50_000.0)
+    sent: list[int] = []
+    packed = sharing._packed
+
+    def weighed(held: list[Any], value: Any) -> bytes:
+        sent.append(len(packed(held, value)))
+        return packed(held, value)
+
+    monkeypatch.setattr(sharing, "_packed", weighed)
+    answers = shared_out(parts, [], [(common, i) for i in range(3)], common=common)
+    assert [number for number, _ in answers] == [0, 1, 2]
+    assert all(one is common for _, one in answers)
+    assert sum(size > 1000 for size in sent) == 1
+
+
+def test_what_cannot_be_sent_is_worked_on_here() -> None:
+    item = (lambda: 7,)
+    with pytest.raises((pickle.PicklingError, AttributeError)):
+        pickle.dumps(item)
+    with ThreadPoolExecutor(1) as executor:
+        assert shared_out(parts, [], [item], executor) == [item]
+
+
+def test_progress_is_told_and_errors_are_raised() -> None:
+    told: list[int] = []
+    shared_out(parts, [], [(1, 2), (3, 4)], progress=told.append)
+    assert told == [1, 2]
+    with pytest.raises(ZeroDivisionError):
+        shared_out(refusing, [], [(1,)])

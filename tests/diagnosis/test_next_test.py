@@ -2,22 +2,21 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
-from cpam_bayes.diagnosis import diagnose as diagnosing
 from cpam_bayes.diagnosis import next_test as further_tests
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.comparison import PlateCase
-from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
+from cpam_bayes.diagnosis.diagnose import diagnose_cases
 from cpam_bayes.diagnosis.evidence import weighing
 from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
 from cpam_bayes.diagnosis.evidence.weighing import Weighed, marginal_of
-from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, OTHER, Claim, Hypothesis
+from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, OTHER, Claim, Hypothesis, Kind
 from cpam_bayes.diagnosis.models import plate_models
 from cpam_bayes.diagnosis.next_test import (
     GAUGED,
@@ -25,6 +24,7 @@ from cpam_bayes.diagnosis.next_test import (
     WEIGHED,
     FurtherTest,
     Outlook,
+    Predict,
     Predicted,
     information,
     leading_hypotheses,
@@ -53,23 +53,16 @@ from tests.diagnosis.toy_plates import (
     a_list,
     case,
     hypothesis,
+    of_one,
     plate_model,
     straight,
 )
 from tests.effects.cases import BY_NAME
 
 
-def outlook(means: Any, sd: Any, p: Any = None, cause_of: Any = None) -> Outlook:
-    """Gaussians of means (k, n) with independent standard deviations."""
-    means = np.atleast_2d(np.array(means, float))
-    k, n = means.shape
-    sds = np.broadcast_to(np.asarray(sd, float), (k, n))
-    return Outlook(
-        np.full(k, 1.0 / k) if p is None else np.array(p),
-        np.arange(k) if cause_of is None else np.array(cause_of),
-        means,
-        sds[:, :, None] ** 2 * np.eye(n),
-    )
+def outlook(means: Array, sds: Array, p: Any = (0.5, 0.5), cause_of: Any = (0, 1)) -> Outlook:
+    """Gaussians of means (k, n) with independent standard deviations (k, n)."""
+    return Outlook(np.array(p), np.array(cause_of), means, sds[:, :, None] ** 2 * np.eye(means.shape[1]))
 
 
 def by_quadrature(means: Array, sds: Array, p: Array, cause_of: Array) -> float:
@@ -83,7 +76,7 @@ def by_quadrature(means: Array, sds: Array, p: Array, cause_of: Array) -> float:
     return float(np.trapezoid(np.sum(of_cause * ratio, axis=1), y))
 
 
-# Means and standard deviations of one datum, probabilities, and which cause each belongs to.
+# Means and standard deviations of one datum, probabilities, and which cause each belongs to
 GAUSSIANS: dict[str, tuple[list[float], list[float], list[float], list[int]]] = {
     **{
         f"{d} apart, {p}": ([0.0, d], [1.0, 1.0], [p, 1.0 - p], [0, 1])
@@ -106,27 +99,10 @@ def test_the_information_of_gaussians_is_that_of_quadrature(of: tuple[list[float
     assert possible == pytest.approx(-np.sum(share * np.log(share)), rel=1e-12)
 
 
-def test_equal_predictions_tell_nothing_and_those_that_do_not_overlap_tell_all() -> None:
-    found, possible, decided = information(outlook([[1.0, 2.0]] * 3, 0.1, [0.5, 0.3, 0.2]))
-    assert found == pytest.approx(0.0, abs=1e-12)
-    assert possible > 1.0
-    assert decided == 0.0
-    found, possible, decided = information(outlook(10.0 * np.eye(3), 0.1, [0.5, 0.3, 0.2]))
-    assert found == pytest.approx(possible, abs=1e-9)
-    assert decided == 1.0
-
-
-def test_independent_data_add_up_where_they_tell_little() -> None:
-    one, _, _ = information(outlook([[0.0], [0.1]], 1.0))
-    four, _, _ = information(outlook([[0.0] * 4, [0.1] * 4], 1.0))
-    # d^2 / 8 for a small distance d between two equally probable causes
-    assert one == pytest.approx(0.1**2 / 8, rel=0.03)
-    assert four == pytest.approx(4 * one, rel=0.03)
-
-
 def test_correlated_data_are_taken_as_such() -> None:
     rotation = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
-    plain = outlook([[0.0, 0.0, 0.0], [2.0, 0.5, 0.0]], [1.0, 0.2, 3.0])
+    means = np.array([[0.0, 0.0, 0.0], [2.0, 0.5, 0.0]])
+    plain = outlook(means, np.tile([1.0, 0.2, 3.0], (2, 1)))
     turned = Outlook(
         plain.probability,
         plain.cause,
@@ -138,10 +114,8 @@ def test_correlated_data_are_taken_as_such() -> None:
 
 
 def test_the_probability_of_a_decision_is_that_of_a_likelihood_ratio() -> None:
-    from scipy.stats import norm
-
     d = 3.0
-    _, _, decided = information(outlook([[0.0], [d]], 1.0), 12)
+    _, _, decided = information(outlook(np.array([[0.0], [d]]), np.ones((2, 1))), 12)
     # log ratio d (y - d / 2) under the right cause is normal, mean d^2 / 2, sd d
     assert decided == pytest.approx(norm.cdf((d**2 / 2 - np.log(9.0)) / d), abs=2e-3)
 
@@ -237,87 +211,72 @@ def test_a_sister_plate_has_other_constants_and_not_the_flaw() -> None:
     np.testing.assert_allclose(y, further_tests._sister(t_none, 0, own, scatter).y.mean(axis=0), rtol=0.005)
 
 
-def gauged(effect_shift: float) -> tuple[PlateCase, weighing.Tested]:
-    """A toy whose sizes are those of a real plate."""
-    own = plate(effect_shift * BUMP)
+def test_weighing_and_gauging_see_a_thicker_plate() -> None:
+    own = plate(0.02 * BUMP)
     # a linear toy holds over a tolerance, not over gross errors
     tolerance = replace(THICKNESS, parameters=(either_sign("thickness_deviation", "", 0.01),))
     own.extended[tolerance.name, tolerance.variant] = plate_model(
         shift=straight(BUMP), parameter=tolerance.parameters[0]
     )  # type: ignore[assignment]
+    # its sizes are those of a real plate
     specimen = builtin("C1")
-    models = replace(own.models, problem=plate_problem(specimen, CONSTANTS))
-    own = replace(own, models=models)
-    return own, made(hypothesis(tolerance, 0.1), own)
-
-
-def test_weighing_and_gauging_see_a_thicker_plate() -> None:
-    own, t = gauged(0.02)
+    own = replace(own, models=replace(own.models, problem=plate_problem(specimen, CONSTANTS)))
+    t, plain = made(hypothesis(tolerance, 0.1), own), made(NOTHING, own)
     predicted = further_tests._weighing(t, 0, own)
-    deviation = t.marginal.draws[:, t.columns[0]]
-    plate_of = builtin("C1").plate
-    np.testing.assert_allclose(predicted.y[:, 1], plate_of.thickness * (1.0 + deviation), rtol=1e-12)
-    mass = plate_of.density * plate_of.thickness * plate_of.area
-    np.testing.assert_allclose(predicted.y[:, 0], mass * (1.0 + deviation), rtol=1e-12)
-    plain = made(NOTHING, own)
+    thicker = 1.0 + t.marginal.draws[:, t.columns[0]]
+    of = specimen.plate
+    stated = np.array([of.density * of.thickness * of.area, of.thickness])
+    np.testing.assert_allclose(predicted.y, stated * thicker[:, None], rtol=1e-12)
     found = outlook_of([plain, t], own, lambda t: further_tests._weighing(t, 0, own))
     np.testing.assert_allclose(found.covariance[0], np.diag([WEIGHED**2, GAUGED**2]), atol=1e-15)
     # 2 % beside 0.1 and 0.3 %
     assert information(found)[0] == pytest.approx(np.log(2.0), abs=0.01)
 
 
-def a_diagnosis(
-    kind: str, monkeypatch: pytest.MonkeyPatch, beside: Mapping[str, float] | None = None
-) -> Diagnosis:
+@pytest.mark.parametrize(
+    ("kind", "beside", "is_asked"),
+    [
+        *((kind, {}, True) for kind in ("class", "pair", "other", "undecided")),
+        ("none", {}, False),
+        ("named", {}, False),
+        # what acts beside a named cause is not settled
+        ("named", {"warp": 0.7}, True),
+    ],
+)
+def test_tests_are_ranked_by_what_they_tell_and_nothing_is_asked_where_all_is_settled(
+    kind: Kind, beside: Mapping[str, float], is_asked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     own = plate(0.008 * BUMP)
-    leading = tuple(
-        made(h, own, p)
-        for h, p in ((hypothesis(BENT, 0.1), 0.5), (hypothesis(DENTED, 0.1), 0.3), (NOTHING, 0.2))
-    )
+    probability = {hypothesis(BENT, 0.1): 0.5, hypothesis(DENTED, 0.1): 0.3, NOTHING: 0.2}
+    causes = [h.cause for h in probability]
 
-    def direct(t: weighing.Tested, by: float) -> Predicted:
+    def tells(by: float) -> Predict:
         """Data that tell the causes apart by so much."""
-        at = [h.hypothesis.cause for h in leading].index(t.hypothesis.cause)
-        return Predicted(np.full((512, 1), 100.0 * (1.0 + by * at)), np.zeros((1, 1)))
 
-    def tests(*_: object) -> list[FurtherTest]:
-        return [
-            FurtherTest(name, name, lambda by=by: lambda t: direct(t, by))  # type: ignore[misc]
-            for name, by in (("useless", 0.0), ("sharp", 0.05), ("vague", 0.002))
-        ]
+        def predict(t: weighing.Tested) -> Predicted:
+            y = 100.0 * (1.0 + by * causes.index(t.hypothesis.cause))
+            return Predicted(np.full((512, 1), y), np.zeros((1, 1)))
 
-    monkeypatch.setattr(further_tests, "further_tests", tests)
-    found: Any = SimpleNamespace(
-        claim=Claim(kind, (), 0.95),
-        weighed=Weighed(tested=leading, not_tested=()),
-        cases=(own,),
-        beside=beside or {},
-    )  # type: ignore[arg-type]
-    return found  # type: ignore[no-any-return]
+        return predict
 
-
-@pytest.mark.parametrize("kind", ["class", "pair", "other", "undecided"])
-def test_tests_are_ranked_by_what_they_tell(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = next_measurements(a_diagnosis(kind, monkeypatch))
+    tests = [
+        FurtherTest(name, name, lambda by=by: tells(by))  # type: ignore[misc]
+        for name, by in (("useless", 0.0), ("sharp", 0.05), ("vague", 0.002))
+    ]
+    monkeypatch.setattr(further_tests, "further_tests", lambda *_: tests)
+    weighed = Weighed(tuple(made(h, own, p) for h, p in probability.items()), ())
+    diagnosis: Any = SimpleNamespace(
+        claim=Claim(kind, (), 0.95), weighed=weighed, cases=(own,), beside=beside
+    )
+    found = next_measurements(diagnosis, always=True)
+    assert next_measurements(diagnosis) == (found if is_asked else ())
     assert [c.name for c in found] == ["sharp", "vague", "useless"]
-    possible = -sum(p * np.log(p) for p in (0.5, 0.3, 0.2))
+    possible = -sum(p * np.log(p) for p in probability.values())
     assert found[0].possible == pytest.approx(possible)
     assert found[0].information == pytest.approx(possible, abs=1e-6)
-    assert found[0].decided == 1.0
+    assert (found[0].decided, found[2].decided) == (1.0, 0.0)
     assert 0.0 < found[1].information < 0.5 * possible
     assert found[2].information == pytest.approx(0.0, abs=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("kind", "beside", "asked"), [("none", {}, 0), ("named", {}, 0), ("named", {"warp": 0.7}, 3)]
-)
-def test_nothing_is_asked_where_all_is_settled(
-    kind: str, beside: Mapping[str, float], asked: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What acts beside a named cause is not settled."""
-    diagnosis = a_diagnosis(kind, monkeypatch, beside)
-    assert len(next_measurements(diagnosis)) == asked
-    assert len(next_measurements(diagnosis, always=True)) == 3
 
 
 def test_known_masses_go_where_the_plate_is_free() -> None:
@@ -333,13 +292,9 @@ def test_known_masses_go_where_the_plate_is_free() -> None:
 # On real plates
 
 
-@lru_cache
-def cantilever(compliance: float) -> PlateCase:
-    """The clamped aluminium plate with a list of its own model, its clamp turning a little."""
-    return with_own_list("A2", BY_NAME["clamp_rotation"], compliance)
-
-
 def with_own_list(name: str, effect: Effect, size: float, n: int = 4) -> PlateCase:
+    """A plate with a list of its own model."""
+
     def a_list_of(f: Array) -> Measurement:
         return Measurement(f[:n], 0.0, 0.002, None, ("",) * n, complete=True)
 
@@ -367,8 +322,9 @@ def assert_predicts(found: Predicted, model: Any, t: weighing.Tested, modes: sli
 
 @pytest.mark.slow
 def test_a_clamp_acts_on_the_clamped_plate_and_not_on_the_one_that_hangs() -> None:
-    own = cantilever(0.03)
+    # its clamp turns a little
     effect = BY_NAME["clamp_rotation"]
+    own = with_own_list("A2", effect, 0.03)
     t = made(hypothesis(effect, 0.1), own)
     as_it_is = further_tests._under_test(t, 0, own.models, own.models.bare.full, np.arange(4))
     assert_predicts(as_it_is, own.with_effect(effect), t)
@@ -383,14 +339,8 @@ def test_a_loaded_plate_and_its_further_modes_are_predicted_as_by_models_of_thei
     own = with_own_list("A1", THICKNESS, 0.02)
     t = made(NOTHING, own)
     tests = {test.name: test for test in further_tests.further_tests([own], 0, 3, 0.02)}
-    assert list(tests) == [
-        "edge_condition",
-        "more_modes",
-        "mass_at_corner",
-        "mass_at_centre",
-        "sister_plate",
-        "weighing",
-    ]
+    masses = ["mass_at_corner", "mass_at_centre"]
+    assert list(tests) == ["edge_condition", "more_modes", *masses, "sister_plate", "weighing"]
     specimen = own.models.specimen
     plate = specimen.plate
     mass = 0.02 * plate.density * plate.thickness * plate.area
@@ -402,13 +352,10 @@ def test_a_loaded_plate_and_its_further_modes_are_predicted_as_by_models_of_thei
 
 
 @pytest.mark.slow
-def test_thickness_and_density_that_the_constants_absorb_are_told_apart_by_weighing(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_thickness_and_density_that_the_constants_absorb_are_told_apart_by_weighing() -> None:
     own = with_own_list("A1", THICKNESS, 0.02)
-    causes = [hypothesis(e, 0.25) for e in (THICKNESS, DENSITY)]
-    monkeypatch.setattr(diagnosing, "hypotheses_of", lambda cases: [(h, (0,)) for h in (NOTHING, *causes)])
-    diagnosis = diagnose_cases([own], sets=False, gain=False)
+    some = of_one(NOTHING, *(hypothesis(e, 0.25) for e in (THICKNESS, DENSITY)))
+    diagnosis = diagnose_cases([own], hypotheses=some, sets=False, gain=False, power=False)
     said: list[str] = []
     found = next_measurements(diagnosis, always=True, notify=said.append)
     assert len(found) == 6
