@@ -7,32 +7,20 @@ from cpam_bayes.effects import Effect
 from cpam_bayes.effects.effect import FREQUENCY_SCALE, VISCOELASTIC
 from cpam_bayes.forward_model.composed import Change, ComposedModel, Part
 from cpam_bayes.parameters import Parameter, ParameterSet
-from tests.diagnosis.toy_plates import (
-    BENT,
-    BUMP,
-    CONSTANTS,
-    DENT,
-    F0,
-    WARP,
-    Array,
-    differences,
-    even,
-    plate_model,
-    straight,
-    whole_normal,
-)
+from tests.diagnosis import toy_plates as toy
+from tests.diagnosis.toy_plates import BENT, BUMP, CONSTANTS, DENT, F0, Array
 from tests.toy_models import ToyModel
 
-BARE = plate_model()
-(BEND,), (DUST,) = BENT.parameters, WARP.parameters
-WITH_BEND = plate_model(shift=straight(BUMP), parameter=BEND)
-WITH_DUST = plate_model(shift=even(DENT), parameter=DUST)
+BARE = toy.plate_model()
+(BEND,), (DUST,) = BENT.parameters, toy.WARP.parameters
+WITH_BEND = toy.plate_model(shift=toy.straight(BUMP), parameter=BEND)
+WITH_DUST = toy.plate_model(shift=toy.even(DENT), parameter=DUST)
 EVERY_MODE = np.arange(len(F0))
 X = np.array([1.03, 0.95, 0.012, -0.2])
 
 
 def plain(name: str, sd: float = 0.01) -> Parameter:
-    return Parameter(name, "", whole_normal(sd))
+    return Parameter(name, "", toy.whole_normal(sd))
 
 
 def one_plate(
@@ -52,7 +40,7 @@ def assert_predicts(model: ComposedModel, x: Array, expected: Array) -> None:
     np.testing.assert_allclose(found.frequencies[0], expected, rtol=1e-13)
     assert found.jacobian is not None
     assert found.jacobian.shape == (1, len(expected), len(x))
-    slopes = differences(lambda v: model.predict(v).frequencies, x)
+    slopes = toy.differences(lambda v: model.predict(v).frequencies, x)
     # central differences with a step of 1e-6 of frequencies of some 1e2 Hz: rounding 1e-8, curvature less
     np.testing.assert_allclose(found.jacobian[0], slopes, atol=2e-6 * F0.max(), rtol=2e-7)
 

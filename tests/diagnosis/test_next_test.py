@@ -38,25 +38,8 @@ from cpam_bayes.effects.geometry import DENSITY, THICKNESS
 from cpam_bayes.forward_model.model import plate_problem
 from cpam_bayes.plate import Measurement, Sensor
 from cpam_bayes.plate.reader import builtin
-from tests.diagnosis.toy_plates import (
-    BENT,
-    BUMP,
-    CONSTANTS,
-    DENT,
-    DENTED,
-    F0,
-    NOISE,
-    NOTHING,
-    SD,
-    A,
-    Array,
-    a_list,
-    case,
-    hypothesis,
-    of_one,
-    plate_model,
-    straight,
-)
+from tests.diagnosis import toy_plates as toy
+from tests.diagnosis.toy_plates import BENT, BUMP, CONSTANTS, DENT, DENTED, F0, NOISE, NOTHING, SD, A, Array
 from tests.effects.cases import BY_NAME
 
 
@@ -125,7 +108,7 @@ def test_the_probability_of_a_decision_is_that_of_a_likelihood_ratio() -> None:
 
 def plate(shift: Array, noise: float | None = NOISE) -> PlateCase:
     f = F0 * (1.0 + A @ [0.03, -0.04] + shift)
-    return case(a_list(f, noise), [(BENT, straight(BUMP)), (DENTED, straight(DENT))])
+    return toy.case(toy.a_list(f, noise), [(BENT, toy.straight(BUMP)), (DENTED, toy.straight(DENT))])
 
 
 def made(of: Hypothesis, own: PlateCase, probability: float = 0.5) -> weighing.Tested:
@@ -153,7 +136,7 @@ def test_leading_causes_are_six_at_most_with_all_their_probability() -> None:
 
 def test_the_outlook_has_the_moments_of_the_draws_and_the_noise_of_the_list() -> None:
     own = plate(0.01 * BUMP)
-    t = made(hypothesis(BENT, 0.1), own)
+    t = made(toy.hypothesis(BENT, 0.1), own)
     direction = np.array([1.0, 2.0])
 
     def predict(t: weighing.Tested) -> Predicted:
@@ -191,7 +174,7 @@ def test_what_nothing_explains_widens_the_data_of_the_same_plate_alone() -> None
 
 def test_a_sister_plate_has_other_constants_and_not_the_flaw() -> None:
     own = plate(0.03 * BUMP)
-    t = made(hypothesis(BENT, 0.1), own)
+    t = made(toy.hypothesis(BENT, 0.1), own)
     scatter = 0.03
     quiet = replace(own, measurement=replace(own.measurement, relative_std=0.001))
     found = outlook_of([t], quiet, lambda t: further_tests._sister(t, 0, own, scatter))
@@ -215,13 +198,13 @@ def test_weighing_and_gauging_see_a_thicker_plate() -> None:
     own = plate(0.02 * BUMP)
     # a linear toy holds over a tolerance, not over gross errors
     tolerance = replace(THICKNESS, parameters=(either_sign("thickness_deviation", "", 0.01),))
-    own.extended[tolerance.name, tolerance.variant] = plate_model(
-        shift=straight(BUMP), parameter=tolerance.parameters[0]
+    own.extended[tolerance.name, tolerance.variant] = toy.plate_model(
+        shift=toy.straight(BUMP), parameter=tolerance.parameters[0]
     )  # type: ignore[assignment]
     # its sizes are those of a real plate
     specimen = builtin("C1")
     own = replace(own, models=replace(own.models, problem=plate_problem(specimen, CONSTANTS)))
-    t, plain = made(hypothesis(tolerance, 0.1), own), made(NOTHING, own)
+    t, plain = made(toy.hypothesis(tolerance, 0.1), own), made(NOTHING, own)
     predicted = further_tests._weighing(t, 0, own)
     thicker = 1.0 + t.marginal.draws[:, t.columns[0]]
     of = specimen.plate
@@ -247,7 +230,7 @@ def test_tests_are_ranked_by_what_they_tell_and_nothing_is_asked_where_all_is_se
     kind: Kind, beside: Mapping[str, float], is_asked: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own = plate(0.008 * BUMP)
-    probability = {hypothesis(BENT, 0.1): 0.5, hypothesis(DENTED, 0.1): 0.3, NOTHING: 0.2}
+    probability = {toy.hypothesis(BENT, 0.1): 0.5, toy.hypothesis(DENTED, 0.1): 0.3, NOTHING: 0.2}
     causes = [h.cause for h in probability]
 
     def tells(by: float) -> Predict:
@@ -325,7 +308,7 @@ def test_a_clamp_acts_on_the_clamped_plate_and_not_on_the_one_that_hangs() -> No
     # its clamp turns a little
     effect = BY_NAME["clamp_rotation"]
     own = with_own_list("A2", effect, 0.03)
-    t = made(hypothesis(effect, 0.1), own)
+    t = made(toy.hypothesis(effect, 0.1), own)
     as_it_is = further_tests._under_test(t, 0, own.models, own.models.bare.full, np.arange(4))
     assert_predicts(as_it_is, own.with_effect(effect), t)
     tests = {test.name: test for test in further_tests.further_tests([own], 0, 3, 0.02)}
@@ -354,7 +337,7 @@ def test_a_loaded_plate_and_its_further_modes_are_predicted_as_by_models_of_thei
 @pytest.mark.slow
 def test_thickness_and_density_that_the_constants_absorb_are_told_apart_by_weighing() -> None:
     own = with_own_list("A1", THICKNESS, 0.02)
-    some = of_one(NOTHING, *(hypothesis(e, 0.25) for e in (THICKNESS, DENSITY)))
+    some = toy.of_one(NOTHING, *(toy.hypothesis(e, 0.25) for e in (THICKNESS, DENSITY)))
     diagnosis = diagnose_cases([own], hypotheses=some, sets=False, gain=False, power=False)
     said: list[str] = []
     found = next_measurements(diagnosis, always=True, notify=said.append)

@@ -20,7 +20,6 @@ from cpam_bayes.diagnosis.evidence.weighing import Weighed, weigh
 from cpam_bayes.diagnosis.hypotheses import (
     NONE,
     Hypothesis,
-    causes_in,
     go_together,
     inclusion_of,
     set_scales,
@@ -30,6 +29,7 @@ from cpam_bayes.diagnosis.signatures import menu_of, projector_of, signature_of
 from cpam_bayes.effects import ListChange
 from cpam_bayes.forward_model.composed import ComposedModel
 from cpam_bayes.mechanics.modes import RigidBodyError
+from tests.diagnosis import toy_plates as toy
 from tests.diagnosis.toy_plates import (
     ANYTHING,
     BENT,
@@ -42,39 +42,27 @@ from tests.diagnosis.toy_plates import (
     SD,
     A,
     Array,
-    a_list,
-    case,
     cause,
-    exact_log_evidence,
-    hypothesis,
-    log_normal_density,
-    measured,
-    misread,
-    of_one,
-    pairs_of,
-    straight,
-    whole_normal,
-    with_slip,
 )
 from tests.toy_models import ToyModel
 
-DENTED = cause("dented", whole_normal(0.01))
-TURNED = cause("turned", whole_normal(0.015))
+DENTED = cause("dented", toy.whole_normal(0.01))
+TURNED = cause("turned", toy.whole_normal(0.015))
 SHIFTS = {"bent": (BUMP, 0.02), "dented": (DENT, 0.01), "turned": (np.roll(BUMP, 3), 0.015)}
-SINGLES = tuple(hypothesis(effect, 0.1) for effect in (BENT, DENTED, TURNED))
-EVERY = of_one(NOTHING, ANYTHING, *SINGLES)
+SINGLES = tuple(toy.hypothesis(effect, 0.1) for effect in (BENT, DENTED, TURNED))
+EVERY = toy.of_one(NOTHING, ANYTHING, *SINGLES)
 TWO = 0.03 * DENT + 0.03 * BUMP
 
 
 def plate(shift: Array, *, n: int = 8, name: str = "toy", specimen: str = "") -> PlateCase:
-    effects = [(e, straight(SHIFTS[e.name][0])) for e in (BENT, DENTED, TURNED)]
-    return case(a_list(measured(shift)[:n], NOISE), effects, name=name, specimen=specimen)
+    effects = [(e, toy.straight(SHIFTS[e.name][0])) for e in (BENT, DENTED, TURNED)]
+    return toy.case(toy.a_list(toy.measured(shift)[:n], NOISE), effects, name=name, specimen=specimen)
 
 
 def exact(own: PlateCase, *causes: str) -> float:
     """Relative shifts of effects multiply in the model: with large ones this is approximate."""
     f = own.measurement.frequencies
-    return exact_log_evidence(f, NOISE * f, *(SHIFTS[name] for name in causes if name != NONE))
+    return toy.exact_log_evidence(f, NOISE * f, *(SHIFTS[name] for name in causes if name != NONE))
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +75,7 @@ def two() -> Weighed:
 def test_probabilities_are_priors_times_exact_evidences(size: float) -> None:
     own = plate(size * BUMP)
     told: list[Mapping[str, float]] = []
-    found = weigh([own], of_one(NOTHING, *SINGLES), sets=False, so_far=told.append)
+    found = weigh([own], toy.of_one(NOTHING, *SINGLES), sets=False, so_far=told.append)
     assert set(told[-1]) == set(found.by_cause())
     assert all(sum(shares.values()) == pytest.approx(1.0) for shares in told)
     weight = {h.cause: h.prior * np.exp(exact(own, h.cause) - exact(own)) for h in (NOTHING, *SINGLES)}
@@ -121,7 +109,7 @@ def test_three_causes_at_once_are_found_and_each_is_included() -> None:
 
 def test_a_cause_without_a_size_has_a_shift_and_a_signature_and_acts_in_pairs() -> None:
     step = 0.04 * DENT
-    swapped_effect = replace(cause("swapped", whole_normal(1.0)), parameters=())
+    swapped_effect = replace(cause("swapped", toy.whole_normal(1.0)), parameters=())
 
     def function(x: Array) -> tuple[Array, Array]:
         f = F0 * np.exp((x - 1.0) @ A.T + step)
@@ -130,7 +118,7 @@ def test_a_cause_without_a_size_has_a_shift_and_a_signature_and_acts_in_pairs() 
     alone, both = plate(step), plate(step + 0.03 * BUMP)
     for own in (alone, both):
         own.extended["swapped", ""] = ToyModel(CONSTANTS, function)  # type: ignore[assignment]
-    every = of_one(NOTHING, ANYTHING, hypothesis(swapped_effect, 0.1), hypothesis(BENT, 0.1))
+    every = toy.of_one(NOTHING, ANYTHING, toy.hypothesis(swapped_effect, 0.1), toy.hypothesis(BENT, 0.1))
     found = weigh([alone], every, sets=False)
     swapped, none = found.tested[0], found.none.marginal
     assert (swapped.hypothesis.cause, swapped.probability > 0.99) == ("swapped", True)
@@ -158,10 +146,10 @@ def test_a_pair_is_found_though_other_causes_look_more_like_it_alone() -> None:
         f"nearly {k}": BUMP + DENT + np.roll([1.0, -1.0, 0.5, 0.0, 0.0, -0.5, 0.0, 0.0], k)
         for k in (0, 2, 3, 5)
     }
-    effects = [(BENT, straight(BUMP)), (DENTED, straight(DENT))]
-    effects += [(cause(name, whole_normal(0.02)), straight(shift)) for name, shift in nearly.items()]
-    singles = [hypothesis(effect, 0.05) for effect, _ in effects]
-    found = weigh([case(plate(TWO).measurement, effects)], of_one(NOTHING, ANYTHING, *singles))
+    effects = [(BENT, toy.straight(BUMP)), (DENTED, toy.straight(DENT))]
+    effects += [(cause(name, toy.whole_normal(0.02)), toy.straight(shift)) for name, shift in nearly.items()]
+    singles = [toy.hypothesis(effect, 0.05) for effect, _ in effects]
+    found = weigh([toy.case(plate(TWO).measurement, effects)], toy.of_one(NOTHING, ANYTHING, *singles))
     alone = [t.hypothesis.cause for t in found.tested if t.hypothesis.cause in (*nearly, "bent", "dented")]
     assert set(alone[:3]) <= set(nearly)
     assert set(found.tested[0].hypothesis.causes) == {"bent", "dented"}
@@ -174,10 +162,10 @@ def test_a_pair_is_found_though_other_causes_look_more_like_it_alone() -> None:
 def test_a_pair_is_found_though_one_cause_happens_to_explain_the_list() -> None:
     # a flexible cause, a mass anywhere for instance, can come near to two others at once
     likeness = BUMP + DENT + 0.105 * np.array([1.0, -1.0, 0.5, 1.0, 1.0, -1.0, 0.0, 1.0])
-    happens = cause("happens", whole_normal(0.02))
-    effects = [(BENT, straight(BUMP)), (DENTED, straight(DENT)), (happens, straight(likeness))]
-    singles = [hypothesis(effect, 0.1) for effect, _ in effects]
-    found = weigh([case(plate(TWO).measurement, effects)], of_one(NOTHING, ANYTHING, *singles))
+    happens = cause("happens", toy.whole_normal(0.02))
+    effects = [(BENT, toy.straight(BUMP)), (DENTED, toy.straight(DENT)), (happens, toy.straight(likeness))]
+    singles = [toy.hypothesis(effect, 0.1) for effect, _ in effects]
+    found = weigh([toy.case(plate(TWO).measurement, effects)], toy.of_one(NOTHING, ANYTHING, *singles))
     alone = next(t for t in found.tested if t.hypothesis.cause == "happens" and not t.hypothesis.has_leftover)
     assert misfit_probability(alone.marginal) > 1e-3
     assert found.by_cause().get("bent + dented", 0.0) > 0.4
@@ -228,35 +216,29 @@ def test_the_priors_of_sets_are_those_of_their_number_shared_by_the_products_of_
     (three,) = (together(some, scales) for some in combinations(SINGLES, 3))
     assert three.prior == pytest.approx(0.015)
     assert three.parts == tuple(sorted(SINGLES, key=lambda h: h.cause))
+    # the same whichever cause is first
+    turned = [replace(h, variant=text) for h, text in zip(SINGLES, ("left", "", "right"), strict=True)]
+    assert together([together(turned[:0:-1], scales), turned[0]], scales) == together(turned, scales)
+    assert together(turned, scales).variant == "left / right"
     assert set_scales(SINGLES[:2])[3] == 0.0
     heavy = (replace(SINGLES[0], prior=0.3), *SINGLES[1:])
-    found = {p.causes: p.prior for p in pairs_of(heavy, heavy)}
+    found = {p.causes: p.prior for p in toy.pairs_of(heavy, heavy)}
     assert found["bent", "dented"] == pytest.approx(3.0 * found["dented", "turned"])
     assert sum(found.values()) == pytest.approx(0.055)
-
-
-def test_a_set_is_the_same_whichever_cause_is_first() -> None:
-    scales = {2: 2.0, 3: 3.0}
-    pair = together(SINGLES[:2], scales)
-    assert together(SINGLES[1::-1], scales) == pair
-    assert together((pair, SINGLES[2]), scales) == together(SINGLES, scales)
-    turned = replace(SINGLES[0], variant="to the left"), replace(SINGLES[1], variant="at a corner")
-    assert together(turned, scales).variant == "to the left / at a corner"
-    assert causes_in(together(turned, scales).cause) == ("bent", "dented")
 
 
 def test_what_cannot_act_together_is_no_pair() -> None:
     excluded = {"clamp_rotation": ("clamp_slip",), "clamp_slip": (), "clamp_length": ()}
     of_clamp = [
-        Hypothesis(name, "clamp", effects=(cause(name, whole_normal(0.1), excludes=names),), prior=0.1)
+        Hypothesis(name, "clamp", effects=(cause(name, toy.whole_normal(0.1), excludes=names),), prior=0.1)
         for name, names in excluded.items()
     ]
-    found = {p.causes for p in pairs_of(of_clamp, of_clamp)}
+    found = {p.causes for p in toy.pairs_of(of_clamp, of_clamp)}
     assert found == {("clamp_length", "clamp_rotation"), ("clamp_length", "clamp_slip")}
-    lists = [misread(0), Hypothesis("mode_identity", "list", listed=ListChange(missed=(1,)), prior=0.1)]
-    assert pairs_of(lists, lists) == ()
+    lists = [toy.misread(0), Hypothesis("mode_identity", "list", listed=ListChange(missed=(1,)), prior=0.1)]
+    assert toy.pairs_of(lists, lists) == ()
     # two variants of one cause, and a cause of a pair
-    assert pairs_of((misread(0), misread(1)), (misread(0), misread(1))) == ()
+    assert toy.pairs_of((toy.misread(0), toy.misread(1)), (toy.misread(0), toy.misread(1))) == ()
     pair = together(SINGLES[:2], {2: 1.0})
     assert [go_together(pair, h) for h in SINGLES] == [False, False, True]
 
@@ -264,8 +246,8 @@ def test_what_cannot_act_together_is_no_pair() -> None:
 @pytest.mark.parametrize("i", [0, 3, 5])
 def test_the_misread_frequency_is_found_again_beside_a_gross_cause(i: int) -> None:
     """Alone, another frequency looks misread: that one was the only one to be tried beside the cause."""
-    every = of_one(NOTHING, ANYTHING, *SINGLES, *(misread(k) for k in range(8)))
-    own = plate(with_slip(i, 0.03) + 0.04 * DENT)
+    every = toy.of_one(NOTHING, ANYTHING, *SINGLES, *(toy.misread(k) for k in range(8)))
+    own = plate(toy.with_slip(i, 0.03) + 0.04 * DENT)
     alone = weigh([own], every, sets=False)
     assert next(t for t in alone.tested if t.hypothesis.cause == "outlier").hypothesis.listed.misread != (i,)
     found = weigh([own], every)
@@ -277,10 +259,10 @@ def test_the_misread_frequency_is_found_again_beside_a_gross_cause(i: int) -> No
 def test_no_second_error_of_the_list_is_ranked_where_one_leads() -> None:
     whole = plate(0.06 * DENT)
     f = np.delete(whole.measurement.frequencies, 2)
-    own = replace(whole, measurement=a_list(f, NOISE), modes=np.arange(7))
+    own = replace(whole, measurement=toy.a_list(f, NOISE), modes=np.arange(7))
     missed = Hypothesis("mode_identity", "list", listed=ListChange(missed=(2,)), prior=0.1)
-    errors = [misread(k) for k in range(7)]
-    found = weigh([own], of_one(NOTHING, ANYTHING, *SINGLES, missed, *errors))
+    errors = [toy.misread(k) for k in range(7)]
+    found = weigh([own], toy.of_one(NOTHING, ANYTHING, *SINGLES, missed, *errors))
     sets = [t.hypothesis for t in found.tested if t.hypothesis.family == "set"]
     assert any(h.listed.missed for h in sets)
     assert all(sum(part.family == "list" for part in h.parts) <= 1 for h in sets)
@@ -293,7 +275,7 @@ def test_a_plate_that_cannot_be_told_from_a_rigid_body_is_named_and_left_out() -
         raise RigidBodyError("a frequency of nothing")
 
     own.extended["bent", ""] = replace(own.extended["bent", ""], function=soft)  # type: ignore[call-arg]
-    found = weigh([own], of_one(NOTHING, *SINGLES), sets=False)
+    found = weigh([own], toy.of_one(NOTHING, *SINGLES), sets=False)
     assert len(found.not_tested) == 1
     assert found.not_tested[0].startswith("bent: ")
     assert {t.hypothesis.cause for t in found.tested} == {NONE, "dented", "turned"}
@@ -311,7 +293,7 @@ def test_two_plates_of_one_material_share_constants_with_a_scatter() -> None:
     for at, slope in zip((slice(0, 8), slice(8, 14)), slopes, strict=True):
         own = slope * scatter / SD
         covariance[at, at] += own @ own.T
-    expected = log_normal_density(f, np.concatenate([F0, F0[:6]]), covariance)
+    expected = toy.log_normal_density(f, np.concatenate([F0, F0[:6]]), covariance)
     # a product of a constant and a deviation is not quite linear, and the scatter is cut at four sd
     assert found.none.marginal.log_evidence == pytest.approx(expected, abs=0.1)
 
@@ -322,7 +304,7 @@ def test_two_tests_of_one_specimen_share_its_flaw_and_have_no_scatter() -> None:
     best = found.tested[0]
     assert best.hypothesis.cause == "dented"
     assert best.marginal.comparison.parameters.names == ("E1", "G12", "size of dented")
-    alone = weigh(cases[:1], of_one(NOTHING, SINGLES[1]), sets=False).tested[0]
+    alone = weigh(cases[:1], toy.of_one(NOTHING, SINGLES[1]), sets=False).tested[0]
     ratio = best.marginal.moments()[1][2] / alone.marginal.moments()[1][2]
     # the same list twice: half the variance
     assert ratio == pytest.approx(np.sqrt(0.5), rel=0.1)
@@ -340,7 +322,7 @@ def gappy(
     shift: Array | float = 0.0, lacks: tuple[int, ...] = (3,), false: tuple[float, ...] = (555.0,)
 ) -> Array:
     """A list without some modes and with false peaks, Hz."""
-    return np.sort(np.append(np.delete(measured(shift), lacks), false))
+    return np.sort(np.append(np.delete(toy.measured(shift), lacks), false))
 
 
 def incomplete(f: Array, labels: Mapping[int, int] | None = None) -> PlateCase:
@@ -348,7 +330,7 @@ def incomplete(f: Array, labels: Mapping[int, int] | None = None) -> PlateCase:
     known = dict(labels or {})
     text = tuple("a label" if i in known else "" for i in range(len(f)))
     listed = replace(
-        a_list(f, NOISE), complete=False, labels=text, missed_probability=MISSED, false_peaks=FALSE
+        toy.a_list(f, NOISE), complete=False, labels=text, missed_probability=MISSED, false_peaks=FALSE
     )
     free = iter(np.setdiff1d(np.arange(len(F0)), list(known.values())))
     modes = np.array([known[i] if i in known else next(free) for i in range(len(f))])
@@ -382,7 +364,9 @@ def exact_sum(f: Array, cause: str, labels: Mapping[int, int] | None = None) -> 
             direction, sd = SHIFTS[cause]
             slope = np.column_stack((slope, sd * direction[modes]))
         slope = slope * f[kept, None]
-        density = log_normal_density(f[kept], F0[modes], slope @ slope.T + np.diag((NOISE * f[kept]) ** 2))
+        density = toy.log_normal_density(
+            f[kept], F0[modes], slope @ slope.T + np.diag((NOISE * f[kept]) ** 2)
+        )
         values.append(
             density
             + len(modes) * np.log1p(-MISSED)
@@ -412,7 +396,7 @@ def test_an_evidence_is_the_sum_over_all_pairings(
     shift: Array | float, lacks: tuple[int, ...], false: tuple[float, ...]
 ) -> None:
     f = gappy(shift, lacks, false)
-    found = weigh([incomplete(f)], of_one(NOTHING, *OF_TWO), sets=False)
+    found = weigh([incomplete(f)], toy.of_one(NOTHING, *OF_TWO), sets=False)
     assert_sums_over_pairings(found, f)
     factor = exact_sum(f, "bent") - exact_sum(f, NONE)
     assert found.log_bayes_factor(("bent",)) == pytest.approx(factor, abs=2 * TOLERANCE)
@@ -425,7 +409,7 @@ def test_an_evidence_is_the_sum_over_all_pairings(
 def test_a_labelled_frequency_keeps_its_mode_and_the_others_are_summed_over() -> None:
     # without the label the fourth frequency is more probably the fourth mode
     f, labels = gappy(), {3: 4, 7: 7}
-    found = weigh([incomplete(f, labels)], of_one(NOTHING, *OF_TWO), sets=False)
+    found = weigh([incomplete(f, labels)], toy.of_one(NOTHING, *OF_TWO), sets=False)
     for t in found.tested:
         assert all(t.cases[0].modes[i] == mode for i, mode in labels.items())
     assert_sums_over_pairings(found, f, labels)
@@ -433,7 +417,7 @@ def test_a_labelled_frequency_keeps_its_mode_and_the_others_are_summed_over() ->
 
 def test_the_cause_is_found_though_the_plain_model_pairs_the_list_otherwise() -> None:
     f, truth = gappy(0.06 * BUMP, (4,), ()), np.delete(np.arange(8), 4)
-    found = weigh([incomplete(f)], of_one(NOTHING, *OF_TWO), sets=False)
+    found = weigh([incomplete(f)], toy.of_one(NOTHING, *OF_TWO), sets=False)
     assert not np.array_equal(found.none.cases[0].modes, truth)
     best = found.tested[0]
     assert best.hypothesis.cause == "bent"
@@ -444,8 +428,8 @@ def test_the_cause_is_found_though_the_plain_model_pairs_the_list_otherwise() ->
 def test_a_misread_frequency_of_an_incomplete_list_is_found() -> None:
     f = gappy(0.0, (5,), ())
     f[2] *= 1.06
-    errors = [misread(i, 0.02) for i in range(len(f))]
-    found = weigh([incomplete(f)], of_one(NOTHING, *OF_TWO, *errors), sets=False)
+    errors = [toy.misread(i, 0.02) for i in range(len(f))]
+    found = weigh([incomplete(f)], toy.of_one(NOTHING, *OF_TWO, *errors), sets=False)
     best = found.best_of("outlier")
     assert best.hypothesis.listed.misread == (2,)
     np.testing.assert_array_equal(best.cases[0].modes, np.delete(np.arange(8), 5))
@@ -462,7 +446,7 @@ def test_a_complete_list_beside_an_incomplete_one_keeps_its_pairing() -> None:
 
 def test_the_answer_shows_false_peaks_and_missed_modes_of_each_fit() -> None:
     f = gappy(0.03 * BUMP)
-    d = diagnose_cases([incomplete(f)], hypotheses=of_one(NOTHING, ANYTHING, *OF_TWO), sets=False)
+    d = diagnose_cases([incomplete(f)], hypotheses=toy.of_one(NOTHING, ANYTHING, *OF_TWO), sets=False)
     assert d.claim.causes == ("bent",)
     assert d.extended is not None
     assert d.gain is not None
