@@ -51,7 +51,7 @@ def test_each_claim_has_its_members_and_its_fit(
     shift: Array, effects: tuple[Effect, ...], kind: str, causes: set[str]
 ) -> None:
     own = plate(shift, *effects)
-    found = diagnosed(own, *(toy.hypothesis(e, 0.1) for e in effects), sets=kind != "other")
+    found = diagnosed(own, *(toy.hypothesis(e) for e in effects), sets=kind != "other")
     assert (found.claim.kind, set(found.claim.causes)) == (kind, causes)
     assert sum(c.probability for c in found.causes) == pytest.approx(1.0)
     assert {NONE, OTHER, "bent", "dented"} <= set(of(found))
@@ -68,7 +68,7 @@ def test_each_claim_has_its_members_and_its_fit(
 
 def test_a_cause_is_named_with_its_size_its_fit_and_its_gain() -> None:
     own = plate(0.03 * BUMP, BENT, DENTED)
-    found = diagnosed(own, toy.hypothesis(BENT, 0.1), toy.hypothesis(DENTED, 0.1), gain=True)
+    found = diagnosed(own, toy.hypothesis(BENT), toy.hypothesis(DENTED), gain=True)
     assert (found.claim.kind, found.claim.causes) == ("named", ("bent",))
     named = found.causes[0]
     f = own.measurement.frequencies
@@ -98,7 +98,7 @@ def test_a_cause_is_named_with_its_size_its_fit_and_its_gain() -> None:
 
 def test_a_cause_that_the_constants_absorb_is_reported_with_its_bias() -> None:
     own = plate(np.zeros(8), toy.STIFF, BENT)
-    found = diagnosed(own, toy.hypothesis(toy.STIFF, 0.1), toy.hypothesis(BENT, 0.1))
+    found = diagnosed(own, toy.hypothesis(toy.STIFF), toy.hypothesis(BENT))
     absorbed = of(found)["stiff"]
     assert absorbed.absorbed
     assert absorbed.visible < 0.1
@@ -110,7 +110,7 @@ def test_a_cause_that_the_constants_absorb_is_reported_with_its_bias() -> None:
 
 
 def test_an_even_cause_is_told_by_its_magnitude() -> None:
-    found = diagnosed(plate(0.15**2 * DENT, toy.WARP), toy.hypothesis(toy.WARP, 0.1))
+    found = diagnosed(plate(0.15**2 * DENT, toy.WARP), toy.hypothesis(toy.WARP))
     assert found.claim.causes == ("warp",)
     mean, sd, _ = found.causes[0].parameters["size of warp"]
     assert mean == pytest.approx(0.15, abs=3 * sd)
@@ -122,7 +122,7 @@ def test_an_even_cause_is_told_by_its_magnitude() -> None:
 def test_a_false_peak_is_found_and_the_rest_refitted(at: int, share: float) -> None:
     f = toy.measured()
     listed = np.insert(f[:7], at, f[at - 1] + share * (f[at] - f[at - 1]))
-    found = diagnosed(toy.with_causes(listed, BENT), toy.hypothesis(BENT, 0.1), *FALSE, gain=True)
+    found = diagnosed(toy.with_causes(listed, BENT), toy.hypothesis(BENT), *FALSE, gain=True)
     assert found.claim.causes == ("mode_identity",)
     assert found.causes[0].variant in {f"frequency {i + 1} false" for i in ({at} if share else {at - 1, at})}
     assert found.extended is not None
@@ -212,7 +212,7 @@ def exact_evidences(f: Array, *causes: tuple[Array, float]) -> Array:
 def test_held_out_scores_select_the_cause_again_without_each_frequency() -> None:
     """Of a faint cause: the mixture of plain and extended model, weighed by the other frequencies."""
     own = plate(0.006 * BUMP, BENT)
-    found = diagnosed(own, toy.hypothesis(BENT, 0.1), sets=False)
+    found = diagnosed(own, toy.hypothesis(BENT), sets=False)
     bent = found.weighed.best_of("bent")
     assert 0.1 < bent.probability < 0.99
     claim, fit = Claim("named", ("bent",), 0.9), found.baseline

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from cpam_bayes.diagnosis import next_test as further_tests
+from cpam_bayes.diagnosis import next_test as further
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.diagnose import diagnose_cases
@@ -19,18 +19,12 @@ from cpam_bayes.diagnosis.evidence.weighing import Weighed, marginal_of
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, OTHER, Claim, Hypothesis, Kind
 from cpam_bayes.diagnosis.models import plate_models
 from cpam_bayes.diagnosis.next_test import (
-    GAUGED,
-    MORE_MODES,
-    WEIGHED,
     FurtherTest,
-    Outlook,
     Predict,
     Predicted,
     information,
-    leading_hypotheses,
     next_measurements,
     outlook_of,
-    places,
 )
 from cpam_bayes.effects import Effect
 from cpam_bayes.effects.effect import either_sign
@@ -43,9 +37,10 @@ from tests.diagnosis.toy_plates import BENT, BUMP, CONSTANTS, DENT, DENTED, F0, 
 from tests.effects.cases import BY_NAME
 
 
-def outlook(means: Array, sds: Array, p: Any = (0.5, 0.5), cause_of: Any = (0, 1)) -> Outlook:
+def outlook(means: Array, sds: Array, p: Any = (0.5, 0.5), cause_of: Any = (0, 1)) -> further.Outlook:
     """Gaussians of means (k, n) with independent standard deviations (k, n)."""
-    return Outlook(np.array(p), np.array(cause_of), means, sds[:, :, None] ** 2 * np.eye(means.shape[1]))
+    covariance = sds[:, :, None] ** 2 * np.eye(means.shape[1])
+    return further.Outlook(np.array(p), np.array(cause_of), means, covariance)
 
 
 def by_quadrature(means: Array, sds: Array, p: Array, cause_of: Array) -> float:
@@ -86,12 +81,8 @@ def test_correlated_data_are_taken_as_such() -> None:
     rotation = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
     means = np.array([[0.0, 0.0, 0.0], [2.0, 0.5, 0.0]])
     plain = outlook(means, np.tile([1.0, 0.2, 3.0], (2, 1)))
-    turned = Outlook(
-        plain.probability,
-        plain.cause,
-        plain.mean @ rotation.T,
-        np.einsum("ab,kbc,dc->kad", rotation, plain.covariance, rotation),
-    )
+    covariance = np.einsum("ab,kbc,dc->kad", rotation, plain.covariance, rotation)
+    turned = replace(plain, mean=plain.mean @ rotation.T, covariance=covariance)
     # two Sobol sequences of the same integral
     assert information(turned)[0] == pytest.approx(information(plain)[0], abs=3e-3)
 
@@ -117,13 +108,11 @@ def made(of: Hypothesis, own: PlateCase, probability: float = 0.5) -> weighing.T
 
 
 def test_leading_causes_are_six_at_most_with_all_their_probability() -> None:
-    def weighed(*p: tuple[str, float]) -> Weighed:
+    def found(*p: tuple[str, float]) -> list[tuple[str, float]]:
         none: Any = None
         tested = tuple(weighing.Tested(Hypothesis(c, c), (0,), none, value) for c, value in p)
-        return Weighed(tested=tested, not_tested=())
-
-    def found(*p: tuple[str, float]) -> list[tuple[str, float]]:
-        return [(t.hypothesis.cause, t.probability) for t in leading_hypotheses(weighed(*p))]
+        leading = further.leading_hypotheses(Weighed(tested, ()))
+        return [(t.hypothesis.cause, t.probability) for t in leading]
 
     assert found(("a", 0.6), ("b", 0.395), ("c", 0.005)) == [("a", 0.6), ("b", 0.395)]
     assert [c for c, _ in found(*((c, 0.12) for c in "abcdefgh"))] == list("abcdef")
@@ -136,7 +125,7 @@ def test_leading_causes_are_six_at_most_with_all_their_probability() -> None:
 
 def test_the_outlook_has_the_moments_of_the_draws_and_the_noise_of_the_list() -> None:
     own = plate(0.01 * BUMP)
-    t = made(toy.hypothesis(BENT, 0.1), own)
+    t = made(toy.hypothesis(BENT), own)
     direction = np.array([1.0, 2.0])
 
     def predict(t: weighing.Tested) -> Predicted:
@@ -145,15 +134,10 @@ def test_the_outlook_has_the_moments_of_the_draws_and_the_noise_of_the_list() ->
 
     found = outlook_of([t], own, predict)
     mean, sd = t.marginal.moments()
-    expected = (
-        sd[2] ** 2
-        * np.outer(direction, direction)
-        / np.outer(1 + mean[2] * direction, 1 + mean[2] * direction)
-    )
+    relative = sd[2] * direction / (1.0 + mean[2] * direction)
+    expected = np.outer(relative, relative) + np.diag([NOISE**2, NOISE**2 + 1e-6])
     np.testing.assert_allclose(found.mean, 1.0)
-    np.testing.assert_allclose(
-        found.covariance[0], expected + np.diag([NOISE**2, NOISE**2 + 1e-6]), rtol=1e-9
-    )
+    np.testing.assert_allclose(found.covariance[0], expected, rtol=1e-9)
 
 
 def test_what_nothing_explains_widens_the_data_of_the_same_plate_alone() -> None:
@@ -163,21 +147,18 @@ def test_what_nothing_explains_widens_the_data_of_the_same_plate_alone() -> None
     comparison = t.marginal.comparison
     square = {c: weight @ t.marginal.draws[:, c] ** 2 for c in (comparison.noise, comparison.discrepancy)}
     for as_now in (True, False):
-        found = outlook_of(
-            [t],
-            own,
-            lambda t, a=as_now: Predicted(np.full((512, 1), 200.0), np.zeros((1, 1)), as_now=a),
-        )
+        data = Predicted(np.full((512, 1), 200.0), np.zeros((1, 1)), as_now=as_now)
+        found = outlook_of([t], own, lambda t, data=data: data)  # type: ignore[misc]
         expected = square[comparison.noise] + as_now * square[comparison.discrepancy]
         assert found.covariance[0, 0, 0] == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_sister_plate_has_other_constants_and_not_the_flaw() -> None:
     own = plate(0.03 * BUMP)
-    t = made(toy.hypothesis(BENT, 0.1), own)
+    t = made(toy.hypothesis(BENT), own)
     scatter = 0.03
     quiet = replace(own, measurement=replace(own.measurement, relative_std=0.001))
-    found = outlook_of([t], quiet, lambda t: further_tests._sister(t, 0, own, scatter))
+    found = outlook_of([t], quiet, lambda t: further._sister(t, 0, own, scatter))
     f = own.measurement.frequencies
     slope = np.column_stack((A, BUMP)) * F0[:, None] / (NOISE * f)[:, None]
     posterior = np.linalg.inv(slope.T @ slope + np.diag(1.0 / np.array([SD, SD, 0.02]) ** 2))
@@ -189,29 +170,29 @@ def test_a_sister_plate_has_other_constants_and_not_the_flaw() -> None:
     # 512 weighted points of a posterior much narrower than the scatter
     np.testing.assert_allclose(found.covariance[0], expected, rtol=0.05, atol=0.01 * expected.max())
     t_none = made(NOTHING, plate(0.0 * BUMP))
-    y = further_tests._sister(t, 0, own, scatter).y.mean(axis=0)
+    y = further._sister(t, 0, own, scatter).y.mean(axis=0)
     # less the flaw, a plate of the same constants
-    np.testing.assert_allclose(y, further_tests._sister(t_none, 0, own, scatter).y.mean(axis=0), rtol=0.005)
+    np.testing.assert_allclose(y, further._sister(t_none, 0, own, scatter).y.mean(axis=0), rtol=0.005)
 
 
 def test_weighing_and_gauging_see_a_thicker_plate() -> None:
     own = plate(0.02 * BUMP)
     # a linear toy holds over a tolerance, not over gross errors
     tolerance = replace(THICKNESS, parameters=(either_sign("thickness_deviation", "", 0.01),))
-    own.extended[tolerance.name, tolerance.variant] = toy.plate_model(
-        shift=toy.straight(BUMP), parameter=tolerance.parameters[0]
-    )  # type: ignore[assignment]
+    thick = toy.plate_model(shift=toy.straight(BUMP), parameter=tolerance.parameters[0])
+    own.extended[tolerance.name, tolerance.variant] = thick  # type: ignore[assignment]
     # its sizes are those of a real plate
     specimen = builtin("C1")
     own = replace(own, models=replace(own.models, problem=plate_problem(specimen, CONSTANTS)))
-    t, plain = made(toy.hypothesis(tolerance, 0.1), own), made(NOTHING, own)
-    predicted = further_tests._weighing(t, 0, own)
+    t, plain = made(toy.hypothesis(tolerance), own), made(NOTHING, own)
+    predicted = further._weighing(t, 0, own)
     thicker = 1.0 + t.marginal.draws[:, t.columns[0]]
     of = specimen.plate
     stated = np.array([of.density * of.thickness * of.area, of.thickness])
     np.testing.assert_allclose(predicted.y, stated * thicker[:, None], rtol=1e-12)
-    found = outlook_of([plain, t], own, lambda t: further_tests._weighing(t, 0, own))
-    np.testing.assert_allclose(found.covariance[0], np.diag([WEIGHED**2, GAUGED**2]), atol=1e-15)
+    found = outlook_of([plain, t], own, lambda t: further._weighing(t, 0, own))
+    noise = np.diag([further.WEIGHED**2, further.GAUGED**2])
+    np.testing.assert_allclose(found.covariance[0], noise, atol=1e-15)
     # 2 % beside 0.1 and 0.3 %
     assert information(found)[0] == pytest.approx(np.log(2.0), abs=0.01)
 
@@ -230,7 +211,7 @@ def test_tests_are_ranked_by_what_they_tell_and_nothing_is_asked_where_all_is_se
     kind: Kind, beside: Mapping[str, float], is_asked: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own = plate(0.008 * BUMP)
-    probability = {toy.hypothesis(BENT, 0.1): 0.5, toy.hypothesis(DENTED, 0.1): 0.3, NOTHING: 0.2}
+    probability = {toy.hypothesis(BENT): 0.5, toy.hypothesis(DENTED): 0.3, NOTHING: 0.2}
     causes = [h.cause for h in probability]
 
     def tells(by: float) -> Predict:
@@ -246,11 +227,10 @@ def test_tests_are_ranked_by_what_they_tell_and_nothing_is_asked_where_all_is_se
         FurtherTest(name, name, lambda by=by: tells(by))  # type: ignore[misc]
         for name, by in (("useless", 0.0), ("sharp", 0.05), ("vague", 0.002))
     ]
-    monkeypatch.setattr(further_tests, "further_tests", lambda *_: tests)
+    monkeypatch.setattr(further, "further_tests", lambda *_: tests)
     weighed = Weighed(tuple(made(h, own, p) for h, p in probability.items()), ())
-    diagnosis: Any = SimpleNamespace(
-        claim=Claim(kind, (), 0.95), weighed=weighed, cases=(own,), beside=beside
-    )
+    claim = Claim(kind, (), 0.95)
+    diagnosis: Any = SimpleNamespace(claim=claim, weighed=weighed, cases=(own,), beside=beside)
     found = next_measurements(diagnosis, always=True)
     assert next_measurements(diagnosis) == (found if is_asked else ())
     assert [c.name for c in found] == ["sharp", "vague", "useless"]
@@ -263,13 +243,13 @@ def test_tests_are_ranked_by_what_they_tell_and_nothing_is_asked_where_all_is_se
 
 
 def test_known_masses_go_where_the_plate_is_free() -> None:
-    assert [(name, at) for name, _, at in places("FFFF")] == [
+    assert [(name, at) for name, _, at in further.places("FFFF")] == [
         ("mass_at_corner", (0.95, 0.95)),
         ("mass_at_centre", (0.5, 0.5)),
     ]
-    assert places("CFFF")[0][2] == (0.95, 0.95)
-    assert places("FFCF")[0][2] == (0.05, 0.95)
-    assert [name for name, _, _ in places("SSSS")] == ["mass_at_centre"]
+    assert further.places("CFFF")[0][2] == (0.95, 0.95)
+    assert further.places("FFCF")[0][2] == (0.05, 0.95)
+    assert [name for name, _, _ in further.places("SSSS")] == ["mass_at_centre"]
 
 
 # On real plates
@@ -308,10 +288,10 @@ def test_a_clamp_acts_on_the_clamped_plate_and_not_on_the_one_that_hangs() -> No
     # its clamp turns a little
     effect = BY_NAME["clamp_rotation"]
     own = with_own_list("A2", effect, 0.03)
-    t = made(toy.hypothesis(effect, 0.1), own)
-    as_it_is = further_tests._under_test(t, 0, own.models, own.models.bare.full, np.arange(4))
+    t = made(toy.hypothesis(effect), own)
+    as_it_is = further._under_test(t, 0, own.models, own.models.bare.full, np.arange(4))
     assert_predicts(as_it_is, own.with_effect(effect), t)
-    tests = {test.name: test for test in further_tests.further_tests([own], 0, 3, 0.02)}
+    tests = {test.name: test for test in further.further_tests([own], 0, 3, 0.02)}
     plate = own.models.specimen.plate
     hung = plate_models(replace(own.models.specimen, plate=replace(plate, edges="FFFF")), 4)
     assert_predicts(tests["edge_condition"].prepare()(t), hung.bare, t)
@@ -321,7 +301,7 @@ def test_a_clamp_acts_on_the_clamped_plate_and_not_on_the_one_that_hangs() -> No
 def test_a_loaded_plate_and_its_further_modes_are_predicted_as_by_models_of_their_own() -> None:
     own = with_own_list("A1", THICKNESS, 0.02)
     t = made(NOTHING, own)
-    tests = {test.name: test for test in further_tests.further_tests([own], 0, 3, 0.02)}
+    tests = {test.name: test for test in further.further_tests([own], 0, 3, 0.02)}
     masses = ["mass_at_corner", "mass_at_centre"]
     assert list(tests) == ["edge_condition", "more_modes", *masses, "sister_plate", "weighing"]
     specimen = own.models.specimen
@@ -330,7 +310,7 @@ def test_a_loaded_plate_and_its_further_modes_are_predicted_as_by_models_of_thei
     sensor = Sensor(mass, 0.95 * plate.length, 0.95 * plate.width)
     loaded = plate_models(replace(specimen, sensors=(sensor,)), 4)
     assert_predicts(tests["mass_at_corner"].prepare()(t), loaded.bare, t)
-    bigger = plate_models(specimen, 4 + MORE_MODES)
+    bigger = plate_models(specimen, 4 + further.MORE_MODES)
     assert_predicts(tests["more_modes"].prepare()(t), bigger.bare, t, slice(4, 8))
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import multivariate_normal
 
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.hypotheses import (
@@ -105,7 +106,7 @@ def cause(name: str, prior: Prior, *, is_even: bool = False, excludes: tuple[str
     )
 
 
-def hypothesis(effect: Effect, prior: float) -> Hypothesis:
+def hypothesis(effect: Effect, prior: float = 0.1) -> Hypothesis:
     return Hypothesis(
         effect.name, effect.family, effect.variant, (effect,), parameters=effect.parameters, prior=prior
     )
@@ -170,20 +171,18 @@ def case(
         builtin("A1"), name=name, specimen=specimen or name, unknowns=CONSTANTS, measurement=measurement
     )
     unused: Any = None
+    facts, zeros, model = PlateFacts.of(of.plate, isotropic=True), np.zeros(n_modes), plate_model(n_modes)
     models = PlateModels(
         of,
-        PlateFacts.of(of.plate, isotropic=True),
+        facts,
         CONSTANTS,
-        unused,
-        unused,
-        unused,
-        unused,
-        np.zeros(n_modes),
+        *[unused] * 4,
+        zeros,
         n_modes,
-        np.zeros(n_modes),
+        zeros,
         {},
-        plate_model(n_modes),  # type: ignore[arg-type]
-        name,
+        model,
+        name,  # type: ignore[arg-type]
     )
     extended: dict[Any, Any] = {
         (e.name, e.variant): plate_model(n_modes, shift, e.parameters[0]) for e, shift in effects
@@ -198,20 +197,14 @@ def with_causes(f: Array, *effects: Effect, relative: float | None = NOISE, name
 
 def log_normal_density(f: Array, mean: Array, covariance: Array) -> float:
     """Of a list whose logarithms are normal about those of ``mean``; covariance of f ln(f / mean), Hz^2."""
-    away = f * np.log(f / mean)
-    return float(
-        -0.5 * away @ np.linalg.solve(covariance, away) - 0.5 * np.linalg.slogdet(2 * np.pi * covariance)[1]
-    )
+    return float(multivariate_normal.logpdf(f * np.log(f / mean), cov=covariance))
 
 
-def exact_log_evidence(
-    f: Array, sigma: Array, *causes: tuple[Array, float], mean: Array | None = None
-) -> float:
+def exact_log_evidence(f: Array, sigma: Array, *causes: tuple[Array, float]) -> float:
     """Of the toy plate with normal priors and shifts direction * t, t normal with a standard deviation."""
     n = len(f)
     slope = np.column_stack([SD * A[:n], *(sd * d[:n] for d, sd in causes)]) * f[:, None]
-    centre = F0[:n] if mean is None else mean
-    return log_normal_density(f, centre, slope @ slope.T + np.diag(sigma**2))
+    return log_normal_density(f, F0[:n], slope @ slope.T + np.diag(sigma**2))
 
 
 def differences(function: Callable[[Array], Array], x: Array, step: float = 1e-6) -> Array:

@@ -31,7 +31,7 @@ SMOOTH = replace(SHIFTED, correlation_length=0.8)
 def rounded(relative: float | None, of: Hypothesis | None = None) -> LogDensity:
     """A list that is rounded to 1 Hz, by default of a warped plate."""
     plate = case(toy.a_list(NOISY, relative, 1.0), [(NARROW_WARP, toy.even(BUMP))])
-    return comparison_of([plate], of or hypothesis(NARROW_WARP, 0.1))
+    return comparison_of([plate], of or hypothesis(NARROW_WARP))
 
 
 def two_lists(of: Hypothesis = PLAIN) -> LogDensity:
@@ -209,7 +209,7 @@ def plain(f: Array, noise: float | None = NOISE) -> LogDensity:
 
 def compared(f: Array, of: Effect, shift: Callable[..., object], noise: float | None = NOISE) -> LogDensity:
     """A list under the hypothesis of a cause that shifts the modes so."""
-    return comparison_of([case(toy.a_list(f, noise), [(of, shift)])], hypothesis(of, 0.1))  # type: ignore[list-item]
+    return comparison_of([case(toy.a_list(f, noise), [(of, shift)])], hypothesis(of))  # type: ignore[list-item]
 
 
 def weighed(comparison: LogDensity, sizes: tuple[int, ...] = (2,), least: float = -np.inf) -> Marginal:
@@ -265,7 +265,7 @@ def test_a_second_optimum_at_another_size_counts_where_the_plain_model_explains_
 
     of = toy.cause("bent", prior)
     plates = [case(toy.a_list(f, NOISE), [(of, shift)])]
-    some = toy.of_one(replace(PLAIN, prior=0.9), hypothesis(of, 0.1))
+    some = toy.of_one(replace(PLAIN, prior=0.9), hypothesis(of))
     found = weighing.weigh(plates, some, sets=False).best_of("bent")
     expected, *_ = by_quadrature(f, prior, lambda t: t * (t - two_fold))
     assert found.marginal.log_evidence == pytest.approx(expected, abs=0.1)
@@ -381,7 +381,7 @@ def test_what_lies_outside_the_constraints_carries_nothing() -> None:
 
 
 @pytest.mark.parametrize("relative", [NOISE, None], ids=["given noise", "inferred noise"])
-@pytest.mark.parametrize("of", [hypothesis(BENT, 0.1), ANYTHING], ids=["a cause", "a discrepancy"])
+@pytest.mark.parametrize("of", [hypothesis(BENT), ANYTHING], ids=["a cause", "a discrepancy"])
 def test_emcee_and_importance_sampling_agree(of: Hypothesis, relative: float | None) -> None:
     own = toy.with_causes(toy.measured(0.012 * BUMP), *of.effects, relative=relative)
     found = sampled_marginal(weighing.marginal_of([own], of, (0,)))
