@@ -178,7 +178,7 @@ def test_constants_that_files_give_different_priors_are_named() -> None:
     assert differing_priors(same) == ()
     own = same[1].models
     stiff, shear = own.parameters.parameters
-    wider = replace(stiff, prior=replace(stiff.prior, scale=2.0 * stiff.prior.scale))  # type: ignore[type-var, union-attr]
+    wider = replace(stiff, prior=replace(stiff.prior, scale=2.0 * stiff.prior.scale))  # type: ignore[type-var, attr-defined]
     parameters = replace(own.parameters, parameters=(wider, shear))
     assert differing_priors([same[0], replace(same[1], models=replace(own, parameters=parameters))]) == (
         "E1",

@@ -55,6 +55,8 @@ def test_the_model_is_that_of_the_bare_plate_or_with_one_effect_the_extended_one
     x = np.stack((X[:3], [0.9, 1.1, -0.02]))[:, : 2 + is_bent]
     found, expected = (m.predict(x, jacobian=True) for m in (model, same))
     np.testing.assert_allclose(found.frequencies, expected.frequencies, rtol=1e-14)
+    assert found.jacobian is not None
+    assert expected.jacobian is not None
     np.testing.assert_allclose(found.jacobian, expected.jacobian, rtol=1e-13)
     # noise after the parameters is none of the model
     longer = np.column_stack((x, [0.01, 0.01]))

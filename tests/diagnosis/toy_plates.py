@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import multivariate_normal
 
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.hypotheses import (
@@ -171,18 +170,10 @@ def case(
         builtin("A1"), name=name, specimen=specimen or name, unknowns=CONSTANTS, measurement=measurement
     )
     unused: Any = None
-    facts, zeros, model = PlateFacts.of(of.plate, isotropic=True), np.zeros(n_modes), plate_model(n_modes)
+    facts, zeros = PlateFacts.of(of.plate, isotropic=True), np.zeros(n_modes)
+    model: Any = plate_model(n_modes)
     models = PlateModels(
-        of,
-        facts,
-        CONSTANTS,
-        *[unused] * 4,
-        zeros,
-        n_modes,
-        zeros,
-        {},
-        model,
-        name,  # type: ignore[arg-type]
+        of, facts, CONSTANTS, unused, unused, unused, unused, zeros, n_modes, zeros, {}, model, name
     )
     extended: dict[Any, Any] = {
         (e.name, e.variant): plate_model(n_modes, shift, e.parameters[0]) for e, shift in effects
@@ -197,7 +188,9 @@ def with_causes(f: Array, *effects: Effect, relative: float | None = NOISE, name
 
 def log_normal_density(f: Array, mean: Array, covariance: Array) -> float:
     """Of a list whose logarithms are normal about those of ``mean``; covariance of f ln(f / mean), Hz^2."""
-    return float(multivariate_normal.logpdf(f * np.log(f / mean), cov=covariance))
+    away = f * np.log(f / mean)
+    log_det = np.linalg.slogdet(2 * np.pi * covariance)[1]
+    return float(-0.5 * away @ np.linalg.solve(covariance, away) - 0.5 * log_det)
 
 
 def exact_log_evidence(f: Array, sigma: Array, *causes: tuple[Array, float]) -> float:
