@@ -43,7 +43,8 @@ def with_evidence(causes: str, variant: str, prior: float, log_evidence: float) 
     length = 0.0 if causes == OTHER or "with a leftover" in variant else None
     of = Hypothesis(causes, causes, variant, prior=prior, correlation_length=length)
     unused: Any = None
-    return marginal.Tested(of, (0,), marginal.Marginal(unused, (), log_evidence, *(unused,) * 6))
+    # only differences count: e^800 is no number
+    return marginal.Tested(of, (0,), marginal.Marginal(unused, (), 800.0 + log_evidence, *(unused,) * 6))
 
 
 def claim_and_weights(listed: dict[str, Any], unaccounted: float = 0.0) -> tuple[Claim, Weighed]:
