@@ -1,6 +1,7 @@
 """Decks of plates in ABAQUS format: mesh, plies, edges, and what is read back, without CalculiX."""
 
-from dataclasses import dataclass, replace
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,166 +22,132 @@ from cpam_bayes.plate.layup import parse_layup
 from tests.plates import with_plate
 
 N_MODES = 6
-ELEMENTS: tuple[Element, ...] = ("shell", "brick")
 MISSING = -1.0
-
-
-@dataclass(frozen=True)
-class Card:
-    """One keyword of a deck with its parameters and its data lines."""
-
-    keyword: str
-    parameters: dict[str, str]
-    data: list[str]
-
-    def numbers(self) -> list[float]:
-        return [float(v) for v in ",".join(self.data).split(",") if v.strip()]
 
 
 def constants(specimen: Specimen) -> dict[str, float]:
     return {name: float(value) for name, value in specimen.material.complete().items()}
 
 
-def cards(specimen: Specimen, element: Element, **options: int) -> list[Card]:
-    text = plate_deck(specimen, constants(specimen), element, N_MODES, **options).text
-    found: list[Card] = []
-    for line in text.splitlines():
-        if line.startswith("**"):
-            continue
-        if line.startswith("*"):
-            keyword, *parameters = (part.strip() for part in line[1:].split(","))
-            found.append(Card(keyword, dict((*p.split("="), "")[:2] for p in parameters), []))
-        else:
-            found[-1].data.append(line)
-    return found
+def text_of(specimen: Specimen, element: Element, **options: int) -> str:
+    return plate_deck(specimen, constants(specimen), element, N_MODES, **options).text
 
 
-def only(deck: list[Card], keyword: str, **parameters: str) -> Card:
-    (card,) = (c for c in deck if c.keyword == keyword and parameters.items() <= c.parameters.items())
-    return card
+def data(text: str, card: str) -> str:
+    """The data lines of all cards that begin so."""
+    return "".join(re.findall(rf"^\*{card}\b.*\n((?:[^*].*\n)+)", text, re.M))
 
 
-def nodes_of(deck: list[Card]) -> np.ndarray:
+def numbers(text: str, card: str) -> list[float]:
+    return [float(v) for v in data(text, card).replace("\n", ",").split(",") if v.strip()]
+
+
+def nodes_of(text: str) -> np.ndarray:
     """Coordinates by node number, (n, 3)."""
-    rows = np.array(only(deck, "NODE").numbers()).reshape(-1, 4)
+    rows = np.array(numbers(text, "NODE, NSET=ALL")).reshape(-1, 4)
     assert_array_equal(rows[:, 0], np.arange(1, len(rows) + 1))
     return rows[:, 1:]
 
 
-def elements_of(deck: list[Card], n_nodes: int) -> dict[str, np.ndarray]:
-    """Node numbers of the elements of each set of plies, (n, n_nodes)."""
-    found: dict[str, list[np.ndarray]] = {}
-    for card in deck:
-        if card.keyword == "ELEMENT" and card.parameters["TYPE"] != "MASS":
-            rows = np.array(card.numbers(), dtype=int).reshape(-1, n_nodes + 1)
-            found.setdefault(card.parameters["ELSET"], []).append(rows[:, 1:])
-    return {name: np.concatenate(rows) for name, rows in found.items()}
+def height_of_run(text: str, run: int) -> float:
+    """Extent in z of the bricks of one run of plies."""
+    rows = np.array(numbers(text, f"ELEMENT, TYPE=C3D20R, ELSET=PLIES_{run}"), dtype=int).reshape(-1, 21)
+    return float(np.ptp(nodes_of(text)[rows[:, 1:] - 1, 2]))
 
 
 def test_each_run_of_plies_has_bricks_of_its_thickness_and_its_axes() -> None:
     # [(0/90)_8]_s: 32 plies, the two 90s at the midplane are one run.
-    deck = cards(builtin("D2"), "brick")
-    nodes, elements = nodes_of(deck), elements_of(deck, 20)
+    text = text_of(builtin("D2"), "brick", in_plane=16)
     ply = 3.2e-3 / 32
-    heights, angles = [], []
-    for k in range(1, 32):
-        z = nodes[elements[f"PLIES_{k}"] - 1, 2]
-        heights.append(np.ptp(z))
-        section = only(deck, "SOLID SECTION", ELSET=f"PLIES_{k}")
-        axes = only(deck, "ORIENTATION", NAME=section.parameters["ORIENTATION"]).numbers()
+    sections = re.findall(r"SOLID SECTION, ELSET=PLIES_(\d+), .*ORIENTATION=(\w+)", text)
+    angles = []
+    for _, name in sections:
+        axes = numbers(text, f"ORIENTATION, NAME={name}")
         angles.append(np.rad2deg(np.arctan2(axes[1], axes[0])))
         assert_allclose(axes[3:5], [-axes[1], axes[0]], atol=1e-12)
-    assert len(elements) == 31
+    assert [int(run) for run, _ in sections] == list(range(1, 32))
+    heights = [height_of_run(text, run) for run in range(1, 32)]
     assert_allclose(heights, [ply] * 15 + [2 * ply] + [ply] * 15, rtol=1e-9)
     assert_allclose(angles, [0, 90] * 7 + [0, 90, 0] + [90, 0] * 7, atol=1e-9)
 
 
-@pytest.mark.parametrize("layup", ["[0]", "[0_20]", "[0/90]", "[30_3/-45]"])
-def test_few_runs_of_plies_still_have_four_layers_of_bricks(layup: str) -> None:
-    deck = cards(with_plate("D2", layup=parse_layup(layup)), "brick", in_plane=16)
-    z = np.unique(np.round(nodes_of(deck)[:, 2], 12))
+@pytest.mark.parametrize(
+    ("layup", "first"), [("[0]", 1.0), ("[0_20]", 1.0), ("[0/90]", 0.5), ("[30_3/-45]", 0.75)]
+)
+def test_few_runs_of_plies_still_have_four_layers_of_bricks(layup: str, first: float) -> None:
+    text = text_of(with_plate("D2", layup=parse_layup(layup)), "brick", in_plane=16)
+    assert height_of_run(text, 1) == pytest.approx(first * 3.2e-3)
+    z = np.unique(np.round(nodes_of(text)[:, 2], 12))
     # A layer has nodes on its two faces and on its middle.
     assert len(z) == 2 * 4 + 1
     assert_allclose([z[0], z[-1]], [-1.6e-3, 1.6e-3])
 
 
 def test_plies_are_transversely_isotropic() -> None:
-    deck = cards(builtin("C1"), "brick", in_plane=16)
-    given = only(deck, "ELASTIC", TYPE="ENGINEERING CONSTANTS")
-    E1, E2, E3, nu12, nu13, nu23, G12, G13, G23 = given.numbers()
+    text = text_of(builtin("C1"), "brick", in_plane=16)
+    E1, E2, E3, nu12, nu13, nu23, G12, G13, G23 = numbers(text, "ELASTIC, TYPE=ENGINEERING CONSTANTS")
     assert (E1, E2, nu12, G12) == (121.2e9, 9.34e9, 0.23, 6.25e9)
     assert (E3, nu13, G13) == (E2, nu12, G12)
     # Isotropy across the fibres: E = 2 G (1 + nu).
     assert_allclose(E2, 2 * G23 * (1 + nu23), rtol=1e-11)
-    assert len(given.data[0].split(",")) == 8
-    assert only(deck, "DENSITY").numbers() == [1590.0]
+    assert len(data(text, "ELASTIC").splitlines()[0].split(",")) == 8
+    assert numbers(text, "DENSITY") == [1590.0]
 
 
 @pytest.mark.parametrize("nu12", [0.04, 0.15])
 def test_an_orthotropic_ply_is_positive_definite_in_three_dimensions(nu12: float) -> None:
     material = Material("orthotropic", {"E1": 0.9e9, "E2": 11e9, "nu12": nu12, "G12": 0.7e9}, {}, None)
-    deck = cards(replace(builtin("C1"), material=material), "brick", in_plane=16)
+    text = text_of(replace(builtin("C1"), material=material), "brick", in_plane=16)
     # nu12 of 0.15 is none that E3 = E2 and nu13 = nu12 would allow
-    assert only(deck, "ELASTIC").numbers() == [0.9e9, 11e9, 0.9e9, nu12, 0.0, 0.0, 0.7e9, 0.7e9, 0.7e9]
+    assert numbers(text, "ELASTIC") == [0.9e9, 11e9, 0.9e9, nu12, 0.0, 0.0, 0.7e9, 0.7e9, 0.7e9]
 
 
 @pytest.mark.parametrize(
     ("edges", "element", "held"),
     [
-        ("CFFF", "brick", {"EDGE_X0": {1, 2, 3}}),
-        ("CFFF", "shell", {"EDGE_X0": {1, 2, 3, 4, 5}}),
+        ("CFFF", "brick", ["X0, 1", "X0, 2", "X0, 3"]),
+        ("CFFF", "shell", ["X0, 1", "X0, 2", "X0, 3", "X0, 4", "X0, 5"]),
         # Simply supported: the displacement along the edge and the turning of a normal along it.
-        ("SFFS", "brick", {"EDGE_X0": {2, 3}, "EDGE_Y1": {1, 3}}),
-        ("SFFS", "shell", {"EDGE_X0": {2, 3, 4}, "EDGE_Y1": {1, 3, 5}}),
-        ("FFFF", "brick", {}),
+        ("SFFS", "brick", ["X0, 2", "X0, 3", "Y1, 1", "Y1, 3"]),
+        ("SFFS", "shell", ["X0, 2", "X0, 3", "X0, 4", "Y1, 1", "Y1, 3", "Y1, 5"]),
+        ("FFFF", "brick", []),
     ],
 )
-def test_edges_hold_what_their_condition_says(
-    edges: str, element: Element, held: dict[str, set[int]]
-) -> None:
-    deck = cards(with_plate("D2", edges=edges), element, in_plane=16)
-    found: dict[str, set[int]] = {}
-    for card in deck:
-        if card.keyword == "BOUNDARY":
-            for row in card.data:
-                name, degree = row.split(",")
-                found.setdefault(name, set()).add(int(degree))
-    assert found == held
+def test_edges_hold_what_their_condition_says(edges: str, element: Element, held: list[str]) -> None:
+    text = text_of(with_plate("D2", edges=edges), element, in_plane=16)
+    assert data(text, "BOUNDARY").splitlines() == [f"EDGE_{row}" for row in held]
 
 
-@pytest.mark.parametrize("element", ELEMENTS)
+@pytest.mark.parametrize("element", ["shell", "brick"])
 def test_lines_and_numbers_fit_what_both_programs_read(element: Element) -> None:
     specimen = with_plate("D2", layup=parse_layup("[12.345/-77.77/30]"), length=1 / 7)
-    for card in cards(specimen, element, in_plane=16):
-        for line in card.data if card.keyword != "HEADING" else []:
-            fields = line.rstrip(",").split(",")
-            assert len(fields) <= 16
-            # CalculiX drops what stands after the 20th character of a number.
-            assert all(len(field.strip()) <= 20 for field in fields)
-            assert len(line) <= 132
+    heading, *lines = data(text_of(specimen, element, in_plane=16), r"\w+").splitlines()
+    assert heading.startswith("Plate D2")
+    for line in lines:
+        fields = line.rstrip(",").split(",")
+        assert len(fields) <= 16
+        # CalculiX drops what stands after the 20th character of a number.
+        assert all(len(field.strip()) <= 20 for field in fields)
+        assert len(line) <= 132
 
 
 def test_a_name_of_any_characters_gives_a_heading_of_one_line() -> None:
     specimen = replace(builtin("C1"), name="*STEP\n*plaque \N{GREEK SMALL LETTER ALPHA}")
-    text = plate_deck(specimen, constants(specimen), "shell", N_MODES).text
-    assert text.splitlines()[1].startswith("Plate *STEP?*plaque ?, layup")
+    assert text_of(specimen, "shell").splitlines()[1].startswith("Plate *STEP?*plaque ?, layup")
 
 
 @pytest.mark.parametrize(("element", "z"), [("shell", 0.0), ("brick", 1.6e-3)])
 def test_known_masses_sit_on_vertices_at_their_places(element: Element, z: float) -> None:
     places = [(0.0991, 0.0007), (0.1, 0.052), (0.0333, 0.0444)]
     sensors = tuple(Sensor(1e-3 * (k + 1), *place) for k, place in enumerate(places))
-    deck = cards(replace(builtin("D2"), sensors=sensors), element, in_plane=32)
-    nodes = np.array(only(deck, "NODE").numbers()).reshape(-1, 4)
-    numbers = set()
+    specimen = replace(builtin("D2"), sensors=sensors)
+    deck = plate_deck(specimen, constants(specimen), element, N_MODES, in_plane=32)
+    last = deck.mesh.elements[..., 0].size
     for k, place in enumerate(places, start=1):
-        number, node = only(deck, "ELEMENT", ELSET=f"SENSOR_{k}").numbers()
-        assert_allclose(nodes[int(node) - 1], [node, *place, z], atol=1e-12)
-        assert only(deck, "MASS", ELSET=f"SENSOR_{k}").numbers() == [1e-3 * k]
-        numbers.add(number)
-    plies = elements_of(deck, 8 if element == "shell" else 20)
-    assert min(numbers) > sum(len(e) for e in plies.values())
-    assert len(numbers) == 3
+        number, node = numbers(deck.text, f"ELEMENT, TYPE=MASS, ELSET=SENSOR_{k}")
+        assert_allclose(nodes_of(deck.text)[int(node) - 1], [*place, z], atol=1e-12)
+        assert numbers(deck.text, f"MASS, ELSET=SENSOR_{k}") == [1e-3 * k]
+        assert number == last + k
 
 
 def test_grid_lines_narrow_towards_edges_and_meet_every_point() -> None:
