@@ -9,7 +9,7 @@ import pytest
 
 from cpam_bayes.effects import add_known_mass
 from cpam_bayes.mechanics.dense import discretise
-from cpam_bayes.mechanics.fem import FULL, FemSpace, discretise_sparse, fem_space, fem_space_from_mesh
+from cpam_bayes.mechanics.fem import FemSpace, discretise_sparse, fem_space, fem_space_from_mesh
 from cpam_bayes.mechanics.modes import RigidBodyError, Spectrum, solve
 from cpam_bayes.mechanics.problem import AREA, Atom, Form, Problem, Region, Term
 from cpam_bayes.mechanics.ritz import Quadrature, RitzSettings, ritz_space
@@ -72,16 +72,6 @@ def test_default_mesh_stays_accurate_as_the_plate_gets_thin(thickness: float) ->
     np.testing.assert_allclose(found, navier_of(problem, 6), rtol=1e-4)
 
 
-def test_full_integration_of_the_stiffness_would_lock() -> None:
-    problem = plate(1.0, 1.0, 0.001, 1000.0, ALUMINIUM, (0.0,), "SSSS")
-    space = fem_space("SSSS", problem.nominal, 12, 12, grading=None)
-    reduced = spectrum(problem, space, 1).frequencies[0, 0]
-    full = spectrum(problem, replace(space, stiffness_degree=FULL), 1).frequencies[0, 0]
-    exact = navier_of(problem, 1)[0]
-    assert reduced / exact - 1 < 1e-3
-    assert full / exact - 1 > 10 * (reduced / exact - 1)
-
-
 # Patch test, mass, rigid bodies
 
 
@@ -108,7 +98,7 @@ def strains(c: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("nodes", [4, 8, 9])
-def test_patch_of_linear_fields_has_its_exact_energy(tmp_path: Path, nodes: int) -> None:
+def test_patch_of_linear_fields_has_its_exact_energy_and_mass(tmp_path: Path, nodes: int) -> None:
     # shear from rotations varies: where cells are curved it is of too high a degree for the rule, and
     # left out to see the rest
     shear = FIVE_SIXTHS if nodes == 4 else ShearModel(1e-10)
@@ -125,21 +115,11 @@ def test_patch_of_linear_fields_has_its_exact_energy(tmp_path: Path, nodes: int)
         e = strains(c, x, y)
         exact = np.einsum("in,ij,jn,n->", e, problem.nominal.stiffness(), e, weight)
         assert v[block.index] @ (k @ v[block.index]) == pytest.approx(exact, rel=1e-11)
-
-
-@pytest.mark.parametrize("nodes", [4, 8, 9])
-def test_mass_and_area_are_exact_on_a_distorted_mesh(tmp_path: Path, nodes: int) -> None:
-    problem = plate(0.2, 0.15, 0.01, 1600.0, CARBON)
-    space = curved(tmp_path, problem, nodes)
-    operator = discretise_sparse(problem, space, {})
+    m = block.mass.assemble(problem.coefficients({}, "mass"))
     mass = 1600.0 * 0.01 * 0.2 * 0.15
-    total = [mass] * 3 + [mass * 0.01**2 / 12] * 2
-    for block in operator.blocks:
-        m = block.mass.assemble(problem.coefficients({}, "mass"))
-        for i, expected in enumerate(total):
-            own = ((block.index >= i * space.basis.N) & (block.index < (i + 1) * space.basis.N)) * 1.0
-            if own.any():
-                assert own @ (m @ own) == pytest.approx(expected, rel=1e-12)
+    for i, expected in enumerate([mass] * 3 + [mass * 0.01**2 / 12] * 2):
+        own = (block.index // space.basis.N == i) * 1.0
+        assert own @ (m @ own) == pytest.approx(expected, rel=1e-12)
 
 
 FREE = {
@@ -344,12 +324,3 @@ def test_an_oblique_edge_has_its_own_length_and_no_simple_support(tmp_path: Path
     oblique = plate(0.2, 0.15, 0.004, 1600.0, CARBON, (0.0,), "CFSF")
     with pytest.raises(ValueError, match=r"'x1' is simply supported but not one straight line of"):
         from_mesh(oblique, quads, tmp_path)
-
-
-def test_rules_of_edges_and_area_add_up_on_the_rectangle() -> None:
-    problem = plate(0.2, 0.15, 0.004, 1600.0, CARBON)
-    space = fem_space("FFFF", problem.nominal, 3, 2)
-    for region in (AREA, *(Region("edge", edge=edge) for edge in EDGES)):
-        rule = space.quadrature(region)
-        assert rule.weights.sum() == pytest.approx(1.0, rel=1e-12)
-        assert rule.points.shape == (len(rule.weights), 2)

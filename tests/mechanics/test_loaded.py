@@ -107,17 +107,6 @@ def test_vectors_are_modes_of_the_joined_space(edges: str) -> None:
                 np.testing.assert_allclose(energy, of_all, rtol=1e-9, atol=1e-12 * np.abs(of_all).max())
 
 
-def test_a_mass_of_nothing_leaves_the_plate_as_it_is() -> None:
-    bare = problem_of("FFFF", "none")
-    model, plain = model_of("FFFF", "light"), model_of("FFFF", "none")
-    x = sets_of(bare)
-    stiffness, mass = model.coefficients(x)
-    n_own = plain.coefficients(x)[1].shape[1]
-    mass = np.where(np.arange(mass.shape[1]) < n_own, mass, 0.0)
-    found = solve(model.operator, stiffness, mass, N_MODES).frequencies
-    np.testing.assert_allclose(found, plain.predict(x).frequencies, rtol=1e-9)
-
-
 def test_fewer_terms_and_functions_and_a_basis_leave_the_same_matrices() -> None:
     model = model_of("CFFF", "several")
     x = sets_of(model.operator.problem)

@@ -5,6 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 from cpam_bayes.effects import add_known_mass
 from cpam_bayes.mechanics.affine import (
@@ -62,21 +63,15 @@ def strains(space: RitzSpace, state: PlateState) -> tuple[np.ndarray, np.ndarray
     starts = dict(zip(FIELDS, np.cumsum([0, *sizes[:-1]]), strict=True))
     b = np.zeros((len(rule.points), 8, sum(sizes)))
 
-    def add(row: int, field: Field, derivative: Derivative) -> None:
+    rows: tuple[tuple[int, Field, Derivative], ...] = (
+        *((0, "u", "x"), (1, "v", "y"), (2, "u", "y"), (2, "v", "x")),
+        *((3, "phi_x", "x"), (4, "phi_y", "y"), (5, "phi_x", "y"), (5, "phi_y", "x")),
+        *((6, "w", "y"), (6, "phi_y", ""), (7, "w", "x"), (7, "phi_x", "")),
+    )
+    for row, field, derivative in rows:
         size = {"": 1.0, "x": float(state.length), "y": float(state.width)}[derivative]
         values = space.evaluate(field, rule, derivative) / size
         b[:, row, starts[field] : starts[field] + values.shape[1]] += values
-
-    pairs: tuple[tuple[int, Field, Field], ...] = ((0, "u", "v"), (3, "phi_x", "phi_y"))
-    for row, along_x, along_y in pairs:
-        add(row, along_x, "x")
-        add(row + 1, along_y, "y")
-        add(row + 2, along_x, "y")
-        add(row + 2, along_y, "x")
-    add(6, "w", "y")
-    add(6, "phi_y", "")
-    add(7, "w", "x")
-    add(7, "phi_x", "")
     return b, rule.weights * float(state.length) * float(state.width)
 
 
@@ -92,13 +87,7 @@ def by_quadrature(problem: Problem, space: RitzSpace) -> tuple[np.ndarray, np.nd
         values = space.evaluate(field, rule, "")
         inertia = float(state.density) * h * (h * h / 12 if field in ("phi_x", "phi_y") else 1.0)
         blocks.append(inertia * values.T @ (area[:, None] * values))
-    n = len(k)
-    m, start = np.zeros((n, n)), 0
-    for block in blocks:
-        end = start + len(block)
-        m[start:end, start:end] = block
-        start = end
-    return k, m
+    return k, scipy.linalg.block_diag(*blocks)
 
 
 # Rigid-body motions
@@ -192,23 +181,15 @@ T = np.linspace(0.0, 1.0, 11)
 def test_parity_is_that_of_the_values_about_the_middle(profile: Polynomial | Bell) -> None:
     np.testing.assert_allclose(profile(1.0 - T), profile.parity * profile(T), atol=1e-15)
     assert profile.parity in (1, -1)
+    assert Polynomial((1.0, 1.0)).parity == Bell(0.4, 0.1).parity == 0
 
 
-@pytest.mark.parametrize("profile", [Polynomial((1.0, 1.0)), Bell(0.4, 0.1)])
-def test_a_profile_without_symmetry_has_no_parity(profile: Polynomial | Bell) -> None:
-    assert profile.parity == 0
-
-
-def test_derivative_of_a_polynomial_is_with_respect_to_s() -> None:
-    cubic = Polynomial((1.0, 2.0, 3.0, 4.0))
-    s = 2 * T - 1
+def test_polynomials_have_derivatives_by_s_and_products_of_which_equal_ones_are_one_key() -> None:
+    cubic, s = Polynomial((1.0, 2.0, 3.0, 4.0)), 2 * T - 1
     np.testing.assert_allclose(cubic.derivative()(T), 2 + 6 * s + 12 * s**2, rtol=1e-14)
     np.testing.assert_allclose(cubic.derivative(2)(T), 6 + 24 * s, rtol=1e-13, atol=1e-14)
-
-
-def test_a_product_multiplies_its_factors_and_equal_ones_are_one_key() -> None:
     points = np.stack((T, T**2), axis=-1)
-    np.testing.assert_allclose(Product(LINE, power(2))(points), (2 * T - 1) * (2 * T**2 - 1) ** 2, atol=1e-15)
+    np.testing.assert_allclose(Product(LINE, power(2))(points), s * (2 * T**2 - 1) ** 2, atol=1e-15)
     assert len({Product(LINE, ONE), Product(power(1), Polynomial((1.0,)))}) == 1
 
 

@@ -10,12 +10,10 @@ from scipy.sparse.linalg import splu
 from cpam_bayes.effects import add_known_mass
 from cpam_bayes.mechanics.dense import MATRICES, discretise
 from cpam_bayes.mechanics.fem import FemSpace, SparseBlock, SparseOperator, discretise_sparse, fem_space
-from cpam_bayes.mechanics.modes import RigidBodyError, describe_modes, solve
-from cpam_bayes.mechanics.problem import PlateState, Problem, Values, bare_plate
+from cpam_bayes.mechanics.modes import describe_modes, solve
+from cpam_bayes.mechanics.problem import PlateState, Problem, Values
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
-from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from cpam_bayes.plate.edges import FIELDS
-from cpam_bayes.plate.laminate import complete_constants
 from tests.plates import CARBON, CROSS_PLY_16S, GLASS, plate
 
 ALUMINIUM = {"E1": 70e9, "nu12": 0.3}
@@ -23,20 +21,6 @@ ALUMINIUM = {"E1": 70e9, "nu12": 0.3}
 
 def small(problem: Problem, n: int = 3) -> FemSpace:
     return fem_space(problem.edges, problem.nominal, n, n, grading=None)
-
-
-def free_parameters(layup: tuple[float, ...], edges: str = "FFFF") -> Problem:
-    """A carbon plate whose E1, G12 and thickness vary."""
-    names = {"E1": (50e9, 200e9), "G12": (3e9, 20e9), "thickness": (0.002, 0.02)}
-    parameters = ParameterSet(tuple(Parameter(k, "", Uniform(*v)) for k, v in names.items()))
-    nominal = plate(0.2, 0.15, 0.004, 1600.0, CARBON, layup, edges).nominal
-
-    def state(values: Values) -> PlateState:
-        own = {k: values[k] for k in ("E1", "G12")}
-        constants = complete_constants({**CARBON, **own}, "transversely_isotropic")
-        return replace(nominal, constants=constants, thickness=values["thickness"])
-
-    return bare_plate(parameters, edges, nominal, state)
 
 
 def dense_matrix(problem: Problem, space: FemSpace, values: Values, kind: str) -> np.ndarray:
@@ -72,17 +56,8 @@ def test_blocks_assemble_what_dense_matrices_give(layup: tuple[float, ...]) -> N
         assert np.abs(dense).max() <= 1e-13 * scale, "blocks do not couple"
 
 
-def test_symmetric_laminates_split_and_others_do_not() -> None:
-    sizes = {}
-    for layup in ((0.0, 90.0, 90.0, 0.0), (0.0, 90.0)):
-        problem = plate(0.2, 0.15, 0.006, 1600.0, CARBON, layup)
-        sizes[layup] = [b.size for b in discretise_sparse(problem, small(problem), {}).blocks]
-    n = 40  # nodes of 3 x 3 elements of 8 nodes
-    assert list(sizes.values()) == [[2 * n, 3 * n], [5 * n]]
-
-
-def test_forms_that_only_some_samples_need_are_kept() -> None:
-    problem = free_parameters((0.0, 90.0, 90.0, 0.0))
+def test_symmetric_laminates_split_and_forms_that_only_some_samples_need_are_kept() -> None:
+    problem = plate(0.2, 0.15, 0.006, 1600.0, CARBON)
     angles = np.array([[0.0, 0.0], [0.0, 90.0]])  # symmetric, and not
 
     def state(values: Values) -> PlateState:
@@ -90,9 +65,10 @@ def test_forms_that_only_some_samples_need_are_kept() -> None:
         return replace(problem.nominal, layup=layup, symmetric=False)
 
     choosing = replace(problem, state=state)
-    space = small(problem)
-    assert len(discretise_sparse(choosing, space, {"which": np.array([0, 0])}).blocks) == 2
-    assert len(discretise_sparse(choosing, space, {"which": np.array([0, 1])}).blocks) == 1
+    n = 40  # nodes of 3 x 3 elements of 8 nodes
+    for which, expected in (([0, 0], [2 * n, 3 * n]), ([0, 1], [5 * n])):
+        found = discretise_sparse(choosing, small(problem), {"which": np.array(which)})
+        assert [b.size for b in found.blocks] == expected
 
 
 def spectrum_of(operator: SparseOperator, values: Values, n_modes: int) -> np.ndarray:
@@ -155,9 +131,7 @@ def test_solving_twice_gives_the_same_bits_and_leaves_the_operator_alone() -> No
     np.testing.assert_array_equal(spectrum_of(operator, {}, 6), first)
     pattern = operator.blocks[0].stiffness.pattern
     assert pattern is operator.blocks[0].mass.pattern
-    for array in (pattern.rows, pattern.columns, pattern.starts):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 1
+    assert not any(array.flags.writeable for array in (pattern.rows, pattern.columns, pattern.starts))
 
 
 @pytest.mark.parametrize("scale", [0.1, 1.0, 10.0])
@@ -180,11 +154,3 @@ def test_modes_have_the_kinds_and_labels_that_they_have_with_ritz() -> None:
     )
     assert [(a.kind, a.label) for a in first] == [(b.kind, b.label) for b in second]
     assert {a.kind for a in second} == {"bending", "in-plane"}
-
-
-def test_a_wrong_number_of_rigid_motions_is_found() -> None:
-    problem = plate(0.2, 0.2, 0.004, 1600.0, GLASS)
-    operator = discretise_sparse(problem, small(problem), {})
-    held = replace(operator, problem=replace(problem, edges="CFFF"))
-    with pytest.raises(RigidBodyError, match="leave 0 rigid-body motions"):
-        spectrum_of(held, {}, 3)
