@@ -1,6 +1,7 @@
 """Labels and measured shapes say which mode a frequency is, where modes cross and with a probability."""
 
 import itertools
+import re
 import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
@@ -37,12 +38,7 @@ from tests.universal import grid, mode_55, nodes_15
 TWISTED_FIRST = ("(1,1)", "(0,2)")
 BENT_FIRST = ("(0,2)", "(1,1)")
 SPARE = 4
-
-
-def known(name: str, *names: str) -> Specimen:
-    """A built-in plate of which only the named constants are unknown."""
-    specimen = read_specimen(name)
-    return replace(specimen, unknowns=ParameterSet(tuple(specimen.unknowns[n] for n in names)))
+TRUTH = np.array([9.34e9, 16e9])  # E2, G12
 
 
 def listed(frequencies: Sequence[float], labels: tuple[str, ...], complete: bool = True) -> Measurement:
@@ -52,20 +48,13 @@ def listed(frequencies: Sequence[float], labels: tuple[str, ...], complete: bool
 @pytest.fixture(scope="module")
 def plate() -> Specimen:
     """B1, whose twisting and first bending mode cross as G12 grows."""
-    return known("B1", "E2", "G12").with_exact_sizes()
+    specimen = read_specimen("B1").with_exact_sizes()
+    return replace(specimen, unknowns=ParameterSet(tuple(specimen.unknowns[n] for n in ("E2", "G12"))))
 
 
 @pytest.fixture(scope="module")
 def model(plate: Specimen) -> ReducedModel:
     return reduced_model(plate, plate.unknowns, 2 + SPARE)
-
-
-@pytest.fixture(scope="module")
-def crossed(plate: Specimen, model: ReducedModel) -> np.ndarray:
-    """Two frequencies of a plate whose twisting mode is above its bending mode: G12 16 GPa, E2 9.34 GPa."""
-    truth = model.full.modes(np.array([9.34e9, 16e9]))
-    assert [mode.label for mode in truth[:2]] == list(BENT_FIRST)
-    return np.array([mode.frequency for mode in truth[:2]])
 
 
 def test_a_labelled_mode_is_followed_through_crossings(plate: Specimen, model: ReducedModel) -> None:
@@ -85,21 +74,15 @@ def test_a_labelled_mode_is_followed_through_crossings(plate: Specimen, model: R
     assert np.all(np.diff(found[:, 2:], axis=1) > 0)
 
 
-def test_derivatives_stand_in_the_places_of_their_modes(plate: Specimen, model: ReducedModel) -> None:
-    own = labelled_model(model, listed([60.0, 84.0], TWISTED_FIRST), plate)
-    x, step = np.array([[9.34e9, 16e9]]), np.array([[0.0, 1e7]])
-    jacobian = own.predict(x, jacobian=True).jacobian
-    up, down = (own.predict(x + s * step).frequencies for s in (1, -1))
-    # a step of 6e-4 of G12: curvature enters with its square; rounding of f by 1e-6 Hz gives 1e-13
-    np.testing.assert_allclose(jacobian[0, :, 1], (up - down)[0] / 2e7, rtol=1e-5, atol=1e-13)
-    assert jacobian[0, 0, 1] > 10 * abs(jacobian[0, 1, 1])  # twisting depends on G12, bending hardly
-
-
 @pytest.mark.parametrize("complete", [True, False])
 @pytest.mark.parametrize("labels", [TWISTED_FIRST, BENT_FIRST])
 def test_labels_decide_between_two_constants_that_give_the_same_list(
-    plate: Specimen, crossed: np.ndarray, labels: tuple[str, str], complete: bool
+    plate: Specimen, model: ReducedModel, labels: tuple[str, str], complete: bool
 ) -> None:
+    # a plate whose twisting mode is above its bending mode
+    truth = model.full.modes(TRUTH)[:2]
+    assert tuple(mode.label for mode in truth) == BENT_FIRST
+    crossed = np.array([mode.frequency for mode in truth])
     data = listed(crossed, labels, complete)
     settings = SwarmSettings(particles=20, iterations=60)
     begun = start_of(replace(plate, measurement=data), 0, swarm_settings=settings)
@@ -128,13 +111,11 @@ def test_the_swarm_reports_modes_beside_the_frequencies_that_they_belong_to(plat
 def test_a_label_that_the_model_does_not_have_is_refused_with_those_that_it_has(
     plate: Specimen, model: ReducedModel
 ) -> None:
-    data = listed([60.0, 84.0], ("(1,1)", "(7,7)"))
-    with pytest.raises(
-        LabelError, match=r"received '\(7,7\)' for one frequency, no mode.*\(1,1\) at"
-    ) as caught:
-        labelled_model(model, data, plate)
-    for mode in model.full.modes(np.array([9.34e9, 6.25e9])):
-        assert mode.label in str(caught.value)
+    said = r"received '\(7,7\)' for one frequency, no mode"
+    for mode in sorted(model.full.modes(np.array([9.34e9, 6.25e9])), key=lambda mode: mode.frequency):
+        said += f".*{re.escape(mode.label)}"
+    with pytest.raises(LabelError, match=said):
+        labelled_model(model, listed([60.0, 84.0], ("(1,1)", "(7,7)")), plate)
 
 
 def test_a_label_of_two_modes_names_them_in_ascending_order_and_not_one_of_them() -> None:
@@ -158,9 +139,9 @@ def test_a_list_without_labels_leaves_the_model_alone_and_a_posterior_does_not_p
         plate_posterior(model, listed([60.0, 84.0], TWISTED_FIRST), np.zeros(6))
 
 
-@pytest.mark.parametrize("label", ["(2,0)+(0,2)", "(0,2)+(2,0)", " (0, 2) + (2,0) "])
-def test_spaces_and_the_order_of_parts_do_not_matter(label: str) -> None:
-    assert same_label(label) == "(2,0)+(0,2)"
+def test_spaces_and_the_order_of_parts_do_not_matter() -> None:
+    for label in ("(2,0)+(0,2)", "(0,2)+(2,0)", " (0, 2) + (2,0) "):
+        assert same_label(label) == "(2,0)+(0,2)"
 
 
 K = 8
@@ -204,16 +185,6 @@ def test_directions_that_were_not_measured_are_left_out_and_modes_in_the_plane_a
     found = modal_assurance(measured(shapes), model)
     assert np.all(found[:, 0] == 0.0)
     assert found[1, 1] == pytest.approx(1.0)
-
-
-def test_shapes_that_are_sure_fix_their_modes_in_any_order(shapes):
-    order = [3, 0, 7, 5]
-    noise = 0.03 * np.random.default_rng(0).standard_normal((4, 30))
-    found = paired(shapes[order] + noise, shapes)
-    assert found.modes.tolist() == order
-    assert found.fixed.all()
-    assert len(found.assignments) == 1
-    np.testing.assert_array_equal(found.probability, np.eye(K)[order])
 
 
 def test_two_shapes_halfway_between_two_modes_leave_both_pairings_with_equal_probability(shapes):
@@ -281,9 +252,6 @@ def of_four(plate: Specimen) -> ReducedModel:
     return reduced_model(plate, plate.unknowns, 4)
 
 
-TRUTH = np.array([9.34e9, 16e9])
-
-
 @pytest.fixture(scope="module")
 def tested(plate: Specimen, of_four: ReducedModel) -> Specimen:
     """The plate with frequencies and shapes of its crossed modes at 5 x 4 nodes, with errors of 5 %."""
@@ -292,9 +260,7 @@ def tested(plate: Specimen, of_four: ReducedModel) -> Specimen:
     noise = np.random.default_rng(0).standard_normal(shapes.shape)
     shapes = shapes + 0.05 * shapes.std(axis=(1, 2), keepdims=True) * noise
     shapes[:, :2] = 0.0
-    modes = of_four.full.modes(TRUTH)
-    assert [mode.label for mode in modes[:2]] == ["(0,2)", "(1,1)"]
-    frequencies = np.array([mode.frequency for mode in modes[:2]])
+    frequencies = np.array([mode.frequency for mode in of_four.full.modes(TRUTH)[:2]])
     at = MeasuredShapes(np.arange(len(points)), points, shapes)
     measurement = Measurement(frequencies, 0.0, 0.003, None, ("", ""), complete=True, shapes=at)
     return replace(plate, measurement=measurement)
@@ -307,7 +273,7 @@ def with_values(specimen: Specimen, values: np.ndarray) -> Specimen:
 
 def test_shapes_replace_labels_where_modes_have_crossed(tested, of_four):
     own = labelled_model(of_four, tested.measurement, tested)
-    labels = replace(tested.measurement, shapes=None, labels=("(0,2)", "(1,1)"))
+    labels = replace(tested.measurement, shapes=None, labels=BENT_FIRST)
     by_label = labelled_model(of_four, labels, tested)
     assert own.alternatives == ()
     x = tested.unknowns.sample(np.random.default_rng(0), 20)
@@ -329,23 +295,19 @@ def posterior_of(specimen: Specimen, of_four: ReducedModel, complete: bool = Tru
 
 
 @pytest.mark.parametrize("complete", [True, False])
-def test_the_likelihood_is_the_sum_over_pairings_by_their_probability(unsure, of_four, complete):
+def test_the_likelihood_is_the_sum_over_pairings_and_its_gradient_that_of_differences(
+    unsure, of_four, complete
+):
     posterior = posterior_of(unsure, of_four, complete)
-    own = posterior.model
     assert len(posterior.alternatives) == 2
     measurement, total = unsure.measurement, 0.0
     x = np.array([[9.34e9, 15e9]])
-    for one in own.by_shape.assignments:
-        labels = tuple(own.by_shape.candidates[j].label for j in one.modes)
+    for one in posterior.model.by_shape.assignments:
+        labels = tuple(posterior.model.by_shape.candidates[j].label for j in one.modes)
         known = replace(measurement, shapes=None, labels=labels, complete=complete)
         fixed = plate_posterior(labelled_model(of_four, known, unsure), known, np.zeros(of_four.n_modes))
         total += np.exp(one.log_probability + fixed.log_likelihood(x)[0])
     assert posterior.log_likelihood(x)[0] == pytest.approx(np.log(total), rel=1e-10)
-
-
-@pytest.mark.parametrize("complete", [True, False])
-def test_the_gradient_of_a_sum_over_pairings_is_that_of_differences(unsure, of_four, complete):
-    posterior = posterior_of(unsure, of_four, complete)
     x = np.array([9.4e9, 13.3e9])  # where both pairings count
     step = np.diag(1e-4 * x)  # rounding is 1e-5 of the derivative, a tenth of that of 1e-5
     up, down = (posterior.log_prob(x + s * step) for s in (1, -1))

@@ -145,26 +145,6 @@ def test_shifts_are_those_of_finite_elements(form: str, effect: list[float], tol
     np.testing.assert_allclose(f[0] / f[1], expected, rtol=tolerance)
 
 
-@pytest.mark.parametrize(
-    ("form", "name"), [("mass", "C1"), ("mass", "A2"), *((form, "C1") for form in PATCHES)]
-)
-def test_nothing_there_is_the_bare_plate_wherever_it_is(form: str, name: str) -> None:
-    sets = random_sets(form, 6, name)
-    sets[:, -4] = 0.0
-    found = model_of(form, name).predict(sets).frequencies
-    # the two spaces differ by the error that the smaller one states, and by that of its reduced basis
-    np.testing.assert_allclose(found, plate_of(name).bare.predict(sets[:, :-4]).frequencies, rtol=5e-4)
-
-
-@every_patch
-def test_more_damage_lowers_every_frequency(form: str) -> None:
-    sets = random_sets(form, 6)
-    deeper = sets.copy()
-    deeper[:, -4] = 0.5 * (1.0 + sets[:, -4])
-    f, g = (model_of(form).predict(x).frequencies for x in (sets, deeper))
-    assert np.all(g < f * (1.0 + 1e-6))
-
-
 @pytest.mark.slow
 @every_patch
 def test_the_deepest_patches_of_a_clamped_plate_leave_it_stiff(form: str) -> None:

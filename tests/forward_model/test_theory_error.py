@@ -1,7 +1,6 @@
 """What the model leaves out: three dimensions beside first-order theory, by rule and on bricks, and air."""
 
 import json
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,8 +39,6 @@ from tests.hybrids import hybrid
 from tests.plate_file import described
 
 SAVED = Path(__file__).parents[2] / "studies" / "results" / "16_theory_error.json"
-
-
 CARBON = {"isotropic": False, "E1_GPa": 130.0, "E2_GPa": 9.0, "nu12": 0.3, "G12_GPa": 5.0}
 UNKNOWNS = {"E1_GPa": [90.0, 170.0], "E2_GPa": [6.0, 12.0], "nu12": [0.1, 0.5], "G12_GPa": [3.0, 7.0]}
 
@@ -51,11 +48,9 @@ def carbon(layup: str, edges: str = "FFFF", thickness_mm: float = 3.6, **tables:
     return cb.read_plate(described(size, 1580.0, CARBON, layup=layup, edges=edges, **tables))
 
 
-@pytest.mark.parametrize("layup", ["[0]", "[30_4]", "[90]"])
-def test_plies_that_are_all_alike_leave_no_stress_at_a_free_edge_and_others_turn_with_the_plate(
-    layup: str,
-) -> None:
-    assert max(edge_layer(carbon(layup), axis) for axis in (0, 1)) < 1e-12
+def test_plies_all_alike_leave_no_stress_at_a_free_edge_and_others_turn_with_the_plate() -> None:
+    for layup in ("[0]", "[30_4]", "[90]"):
+        assert max(edge_layer(carbon(layup), axis) for axis in (0, 1)) < 1e-12
     here, turned = carbon("[0/30/-60/90]"), carbon("[90/-60/30/0]")
     assert edge_layer(here, 0) == pytest.approx(edge_layer(turned, 1), rel=1e-9)
 
@@ -74,30 +69,11 @@ def test_plies_of_two_equal_materials_have_the_error_of_one(
         {"name": "a", "material": "a", "thickness_mm": 0.5},
         {"name": "b", "material": "b", "thickness_mm": middle_mm},
     ]
-    of_carbon = {"E1_GPa": 130.0, "E2_GPa": 9.0, "nu12": 0.3, "G12_GPa": 5.0, "density_kg_m3": 1580.0}
-    both["material"] = {"a": of_carbon, "b": of_carbon}
+    of_carbon = {key: value for key, value in CARBON.items() if key != "isotropic"}
+    both["material"] = dict.fromkeys("ab", of_carbon | {"density_kg_m3": 1580.0})
     of_two, f = cb.read_plate(both), [300.0, 900.0]
     assert_allclose(edge_layer(of_two, 0), edge_layer(plain, 0), rtol=tolerance)
     assert_allclose(theory_error(of_two, f), theory_error(plain, f), rtol=tolerance)
-
-
-def test_edge_layer_is_thin_where_plies_alternate_often() -> None:
-    few, many = (edge_layer(carbon(f"[0/45/-45/90]_{n}s"), 0) for n in (1, 3))
-    assert 0.1 < many / few < 0.4
-
-
-def test_only_free_edges_have_a_layer() -> None:
-    held, free = (common_theory_errors(carbon("[0/45/-45/90]_s", e))[THEORY_LEVEL] for e in ("CCCC", "FFFF"))
-    # clamps scatter by 0.012 h times the perimeter over the area
-    assert held == pytest.approx(0.012 * 3.6 * 840.0 / (240.0 * 180.0), rel=1e-9)
-    assert free > 2 * held
-    assert common_theory_errors(carbon("[0]"))[THEORY_LEVEL] == pytest.approx(0.0, abs=1e-9)
-
-
-def test_error_grows_with_thickness_and_frequency() -> None:
-    thin, thick = (theory_error(carbon("[0/90]_2s", "FFFF", h), [500.0, 1500.0]) for h in (1.2, 7.2))
-    assert np.all(thick > thin)
-    assert thick[1] > thick[0]
 
 
 def test_a_layup_with_unknown_angles_is_refused() -> None:
@@ -113,24 +89,21 @@ def saved_cases() -> list[dict[str, Any]]:
     return [c for c in saved if max(m["bricks_error_percent"] for m in c["modes"]) < 0.15]
 
 
-def rms(values: Sequence[float]) -> float:
+def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def test_the_rule_takes_the_bias_of_shear_off_and_states_what_it_leaves() -> None:
-    taken, judged = 0, 0
+    taken = []
     for case in saved_cases():
-        modes = case["modes"]
-        difference, stated, bricks = (
-            rms([m[key] for m in modes])
-            for key in ("difference_percent", "rule_percent", "bricks_error_percent")
-        )
-        left = rms([m["difference_percent"] - m["bias_percent"] for m in modes])
-        assert left < 3.0 * np.hypot(stated, bricks), case["case"]
-        if difference > 0.05 and case["layup"] in ("[0/90]_2s", "[0]") and case["edges"] == "FFFF":
-            judged, taken = judged + 1, taken + (left < 0.8 * difference)
-    assert judged > 7
-    assert taken > 0.8 * judged
+        columns = ("difference_percent", "rule_percent", "bricks_error_percent", "bias_percent")
+        off, rule, of_bricks, bias = np.array([[m[key] for key in columns] for m in case["modes"]]).T
+        left = rms(off - bias)
+        assert left < 3.0 * np.hypot(rms(rule), rms(of_bricks)), case["case"]
+        if rms(off) > 0.05 and case["layup"] in ("[0/90]_2s", "[0]") and case["edges"] == "FFFF":
+            taken.append(left < 0.8 * rms(off))
+    assert len(taken) > 7
+    assert np.mean(taken) > 0.8
 
 
 @pytest.mark.parametrize("layup", ["[0/90]_2s", "[0]"])
@@ -171,12 +144,11 @@ def test_the_coefficients_are_those_that_the_study_fits() -> None:
         1e-8 + (scatter[0] * w) ** 2 + (scatter[1] * of_free) ** 2 + (scatter[2] * of_clamped) ** 2
     )
     assert_allclose(theory_error(plate, f), alone, rtol=0.02)
-    told = np.array([[m["bias_percent"], m["rule_percent"]] for m in case["modes"]]) / 100.0
     every = np.sqrt(
         theory_error(plate, f) ** 2 + common[THEORY_LEVEL] ** 2 + (common[THEORY_SHEAR] * f / 1000.0) ** 2
     )
-    assert_allclose(told[:, 0], f / bias.of(f) - 1.0, rtol=1e-9)
-    assert_allclose(told[:, 1], every, rtol=1e-9)
+    assert_allclose([0.01 * m["bias_percent"] for m in case["modes"]], f / bias.of(f) - 1.0, rtol=1e-9)
+    assert_allclose([0.01 * m["rule_percent"] for m in case["modes"]], every, rtol=1e-9)
 
 
 def test_predictions_and_their_slopes_have_the_bias() -> None:
