@@ -11,7 +11,7 @@ from cpam_bayes.forward_model.model import plate_problem
 from cpam_bayes.mechanics import fem
 from cpam_bayes.mechanics.fem import discretise_sparse
 from cpam_bayes.mechanics.modes import grid_points, shapes_on_grid, solve
-from cpam_bayes.plate import Specimen, builtin
+from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.layup import parse_layup
 from tests.meshes import Quads, grid, rectangle
 from tests.plates import with_plate
@@ -73,19 +73,6 @@ def oblique(folder: Path) -> Path:
 
 def on_mesh(path: Path, **changes: object) -> Specimen:
     return with_plate("A1", **{"length": 0.2, "width": 0.2, "mesh": path, **changes})
-
-
-def test_a_mesh_of_the_rectangle_gives_its_frequencies_and_no_estimate(tmp_path: Path) -> None:
-    plate = builtin("A1").plate
-    sides = 1e3 * plate.length, 1e3 * plate.width
-    path = rectangle(*sides, 20, 18).write(tmp_path / "plate.msh")
-    found = element_model(with_plate("A1", mesh=path), 6).model
-    expected = element_model(builtin("A1"), 6).model
-    none = np.empty((1, 0))
-    # the mesh has no narrow elements at its edges: 0.01 % at most
-    np.testing.assert_allclose(found.predict(none).frequencies, expected.predict(none).frequencies, rtol=2e-4)
-    assert np.all(np.isnan(found.error))
-    assert found.modes(np.empty(0))[0].label == expected.modes(np.empty(0))[0].label == "(1,1)"
 
 
 def test_a_weighed_plate_with_a_mesh_gets_its_density_from_the_area_of_the_mesh(tmp_path: Path) -> None:

@@ -72,6 +72,13 @@ def test_a_labelled_mode_is_followed_through_crossings(plate: Specimen, model: R
     np.testing.assert_array_equal(np.sort(order, axis=1), np.tile(np.arange(6), (len(x), 1)))
     np.testing.assert_array_equal(np.take_along_axis(model.predict(x).frequencies, order, axis=1), found)
     assert np.all(np.diff(found[:, 2:], axis=1) > 0)
+    # derivatives stand in the places of their modes
+    step = np.array([0.0, 1e7])
+    jacobian = own.predict(TRUTH, jacobian=True).jacobian
+    up, down = (own.predict(TRUTH + s * step).frequencies for s in (1, -1))
+    # a step of 6e-4 of G12: curvature enters with its square; rounding of f by 1e-6 Hz gives 1e-13
+    np.testing.assert_allclose(jacobian[0, :, 1], (up - down)[0] / 2e7, rtol=1e-5, atol=1e-13)
+    assert jacobian[0, 0, 1] > 10 * abs(jacobian[0, 1, 1])  # twisting depends on G12, bending hardly
 
 
 @pytest.mark.parametrize("complete", [True, False])

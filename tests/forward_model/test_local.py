@@ -1,7 +1,9 @@
-"""A plate with a point mass or a softer patch anywhere: against the full space and finite elements."""
+"""A plate with a mass or a softer patch anywhere, on its space and on few modes: against full models."""
 
 import pickle
 from dataclasses import replace
+from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,10 +13,18 @@ from cpam_bayes.diagnosis.diagnose import basis_error_of
 from cpam_bayes.diagnosis.evidence import marginal
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
 from cpam_bayes.diagnosis.models import PlateModels, local_model, plate_models
-from cpam_bayes.effects import CATALOGUE, Effect, extend, variants
+from cpam_bayes.effects import CATALOGUE, Effect, add_known_mass, extend, variants
 from cpam_bayes.forward_model.local.basis import local_space
+from cpam_bayes.forward_model.local.modal import changed_on_modes, on_modes
 from cpam_bayes.forward_model.local.model import LocalModel
-from cpam_bayes.forward_model.model import Prediction, biased
+from cpam_bayes.forward_model.model import (
+    PlateModel,
+    Prediction,
+    biased,
+    converged_model,
+    model_on_basis,
+    reference_vector,
+)
 from cpam_bayes.inference.student_mixture import Mixture
 from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.fem import discretise_sparse, fem_space
@@ -199,3 +209,67 @@ def test_a_model_is_the_same_bit_for_bit_in_another_process(form: str) -> None:
     a, b = (m.predict(x, jacobian=True) for m in (model, pickle.loads(pickle.dumps(model))))
     np.testing.assert_array_equal(a.frequencies, b.frequencies)
     np.testing.assert_array_equal(a.jacobian, b.jacobian)
+
+
+@cache
+def on_own_modes(name: str) -> tuple[Specimen, PlateModel, np.ndarray]:
+    """A plate, its full model and twenty parameter vectors within 3 % of its reference constants."""
+    specimen = builtin(name)
+    full = converged_model(specimen, specimen.unknowns, N)
+    middle = reference_vector(specimen, full.parameters)
+    about = np.random.default_rng(0).uniform(0.97, 1.03, (20, len(middle)))
+    return specimen, full, middle * about
+
+
+def with_terms(full: PlateModel, problem: Any, samples: np.ndarray) -> np.ndarray:
+    """Frequencies of the plate with more terms, on its own basis."""
+    return model_on_basis(problem, samples, N, full.error, full.basis).predict(samples).frequencies
+
+
+def test_a_plate_on_its_modes_has_the_frequencies_of_its_full_model_nearby() -> None:
+    _, full, x = on_own_modes("C1")
+    found = on_modes(full, x.mean(axis=0)).model.predict(x).frequencies
+    np.testing.assert_allclose(found, full.predict(x).frequencies, rtol=2e-5)
+
+
+@pytest.mark.parametrize(("name", "share"), [("C1", 0.02), ("C1", 0.2), ("A2", 0.02)])
+def test_a_known_mass_is_added_to_the_modes_of_the_plate_without_it(name: str, share: float) -> None:
+    specimen, full, x = on_own_modes(name)
+    of = specimen.plate
+    sensor = Sensor(share * of.density * of.thickness * of.area, 0.95 * of.length, 0.9 * of.width)
+    expected = with_terms(full, add_known_mass(full.operator.problem, sensor.mass, sensor.x, sensor.y), x)
+    found = on_modes(full, x.mean(axis=0), [sensor]).model.predict(x).frequencies
+    moved = np.log(expected / full.predict(x).frequencies)
+    assert np.abs(moved).max() > 0.02
+    np.testing.assert_allclose(np.log(found / expected), 0.0, atol=1e-2 * np.abs(moved).max())
+    np.testing.assert_allclose(found, expected, rtol=2e-3 * share / 0.02)
+
+
+@pytest.mark.parametrize(("form", "size"), [("mass", 0.02), ("bell", 0.2)])
+def test_a_change_anywhere_moves_the_modes_as_it_moves_the_full_plate(form: str, size: float) -> None:
+    specimen, full, x = on_own_modes("C1")
+    of = specimen.plate
+    anywhere = effect_of(form)
+    if form == "mass":
+        size *= of.density * of.thickness * of.area
+    along, across, *_ = (p.name for p in anywhere.coordinates)
+    place = {p.name: float(p.prior.mean) for p in anywhere.coordinates} | {along: 0.31, across: 0.22}
+    added = np.array([place.get(p.name, size) for p in anywhere.parameters])
+    problem = extend(full.operator.problem, anywhere.fixed(place), plate_of("C1").facts)
+    sized = np.column_stack((x, np.full(len(x), size)))
+    expected = with_terms(full, problem, sized)
+    on_own = changed_on_modes(on_modes(full, x.mean(axis=0)), anywhere)
+    found = on_own.predict(np.column_stack((x, np.tile(added, (len(x), 1))))).frequencies
+    moved = np.log(expected / full.predict(x).frequencies)
+    assert np.sqrt(np.mean(moved**2)) > 2e-3
+    # a few per cent of what it moves
+    assert np.sqrt(np.mean(np.log(found / expected) ** 2)) < 0.05 * np.sqrt(np.mean(moved**2))
+
+
+def test_an_effect_without_a_place_and_derivatives_are_refused() -> None:
+    _, full, x = on_own_modes("C1")
+    mass = changed_on_modes(on_modes(full, x[0]), effect_of("mass"))
+    with pytest.raises(ValueError, match="no derivatives"):
+        mass.predict(np.column_stack((x, np.tile([0.01, 0.5, 0.5, 0.01], (len(x), 1)))), jacobian=True)
+    with pytest.raises(ValueError, match="not given in `local`"):
+        changed_on_modes(on_modes(full, x[0]), next(e for e in CATALOGUE if e.name == "thickness"))

@@ -1,4 +1,4 @@
-"""Finite elements: exact where they must be, convergent at their rate, in agreement with Ritz."""
+"""Finite elements: exact where they must be, in agreement with Ritz, and solved without missing a mode."""
 
 from dataclasses import replace
 from itertools import combinations_with_replacement, product
@@ -6,12 +6,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.linalg
+from scipy.sparse.linalg import splu
 
 from cpam_bayes.effects import add_known_mass
-from cpam_bayes.mechanics.dense import discretise
-from cpam_bayes.mechanics.fem import FemSpace, discretise_sparse, fem_space, fem_space_from_mesh
+from cpam_bayes.mechanics.dense import MATRICES, discretise
+from cpam_bayes.mechanics.fem import (
+    FemSpace,
+    SparseBlock,
+    discretise_sparse,
+    fem_space,
+    fem_space_from_mesh,
+)
 from cpam_bayes.mechanics.modes import RigidBodyError, Spectrum, solve
-from cpam_bayes.mechanics.problem import AREA, Atom, Form, Problem, Region, Term
+from cpam_bayes.mechanics.problem import AREA, Atom, Form, PlateState, Problem, Region, Term, Values
 from cpam_bayes.mechanics.ritz import Quadrature, RitzSettings, ritz_space
 from cpam_bayes.plate.edges import EDGES, FIELDS
 from cpam_bayes.plate.laminate import FIVE_SIXTHS, ShearModel
@@ -21,6 +29,11 @@ from tests.plates import ANGLE_PLY_16S, CARBON, CROSS_PLY_16S, GLASS, plate
 
 ALUMINIUM = {"E1": 70e9, "nu12": 0.3}
 AGREEMENT = 5e-4  # between finite elements and Ritz
+
+
+def even(problem: Problem, n: int) -> FemSpace:
+    """n x n equal elements."""
+    return fem_space(problem.edges, problem.nominal, n, n, grading=None)
 
 
 def spectrum(problem: Problem, space: FemSpace, n_modes: int) -> Spectrum:
@@ -47,16 +60,12 @@ def from_mesh(problem: Problem, quads: Quads, folder: Path) -> FemSpace:
     return fem_space_from_mesh(path, problem.edges, problem.nominal)
 
 
-# Rates and closed forms
-
-
 def test_frequency_error_falls_with_the_fourth_power_of_the_element_size() -> None:
     problem = plate(0.3, 0.2, 0.02, 1600.0, CARBON, (0.0, 90.0), "SSSS")
     exact = navier_of(problem, 6)
     error = []
     for n in (6, 12, 24):
-        space = fem_space("SSSS", problem.nominal, n, n, grading=None)
-        error.append(spectrum(problem, space, 6).frequencies[0] / exact - 1.0)
+        error.append(spectrum(problem, even(problem, n), 6).frequencies[0] / exact - 1.0)
     coarse, fine = np.log2(error[0] / error[1]), np.log2(error[1] / error[2])
     assert np.all(coarse > 3.7), coarse
     np.testing.assert_allclose(fine, 4.0, atol=0.15)
@@ -70,9 +79,6 @@ def test_default_mesh_stays_accurate_as_the_plate_gets_thin(thickness: float) ->
     problem = plate(1.0, 1.0, thickness, 1000.0, ALUMINIUM, (0.0,), "SSSS")
     found = fem_frequencies(problem, 6)
     np.testing.assert_allclose(found, navier_of(problem, 6), rtol=1e-4)
-
-
-# Patch test, mass, rigid bodies
 
 
 def curved(folder: Path, problem: Problem, nodes: int) -> FemSpace:
@@ -134,8 +140,7 @@ FREE = {
 @pytest.mark.parametrize("n", [2, 3, 4, 8])
 def test_free_plate_has_six_rigid_motions_and_no_hourglass(name: str, n: int) -> None:
     problem = FREE[name]
-    space = fem_space("FFFF", problem.nominal, n, n, grading=None)
-    found = spectrum(problem, space, 3)
+    found = spectrum(problem, even(problem, n), 3)
     assert np.abs(found.rigid).max() < 1e-8 * found.eigenvalues[0, 0]
     # a mechanism that costs a little energy would show as a mode below the true ones
     assert found.frequencies[0, 0] > 0.999 * fem_frequencies(problem, 1, 10, 10)[0]
@@ -143,12 +148,8 @@ def test_free_plate_has_six_rigid_motions_and_no_hourglass(name: str, n: int) ->
 
 def test_one_element_alone_has_a_mechanism_that_is_found() -> None:
     problem = FREE["C1"]
-    space = fem_space("FFFF", problem.nominal, 1, 1, grading=None)
     with pytest.raises(RigidBodyError, match="leave 6 rigid-body motions"):
-        spectrum(problem, space, 3)
-
-
-# Agreement with Ritz
+        spectrum(problem, even(problem, 1), 3)
 
 
 # A plate, and how many modes.
@@ -180,16 +181,6 @@ def test_finite_elements_agree_with_ritz(name: str) -> None:
     np.testing.assert_allclose(found, ritz_frequencies(problem, n, degree), rtol=AGREEMENT)
 
 
-def test_a_point_mass_has_the_effect_that_it_has_with_ritz() -> None:
-    bare = plate(0.2, 0.15, 0.004, 1600.0, GLASS, (0.0, 90.0, 90.0, 0.0))
-    problem = add_known_mass(bare, 0.004, 0.19, 0.14)
-    shift = fem_frequencies(problem, 5) / fem_frequencies(bare, 5) - 1.0
-    expected = ritz_frequencies(problem, 5) / ritz_frequencies(bare, 5) - 1.0
-    assert shift.min() < -0.01
-    # rotary inertia at a point excites the layer there, which the bases resolve differently
-    np.testing.assert_allclose(shift, expected, atol=5e-5)
-
-
 @pytest.mark.parametrize("edge", EDGES)
 def test_springs_along_an_edge_have_the_effect_that_they_have_with_ritz(edge: str) -> None:
     bare = plate(0.2, 0.15, 0.004, 1600.0, GLASS, (0.0, 90.0, 90.0, 0.0), "CFFF")
@@ -201,9 +192,6 @@ def test_springs_along_an_edge_have_the_effect_that_they_have_with_ritz(edge: st
     expected = ritz_frequencies(problem, 4) / ritz_frequencies(bare, 4) - 1.0
     assert shift.max() > 0.01 or edge == "x0"
     np.testing.assert_allclose(shift, expected, rtol=2e-3, atol=2e-4)
-
-
-# The space
 
 
 def test_functions_are_found_at_any_point_and_are_zero_off_the_plate(tmp_path: Path) -> None:
@@ -234,9 +222,6 @@ def test_wrong_requests_are_refused(tmp_path: Path) -> None:
         space.quadrature(Region("edge", edge="x1"))
     with pytest.raises(ValueError, match=r"\(0.22, 0.03\) m is not on the plate's mesh"):
         space.quadrature(Region("point", point=(1.1, 0.2)))
-
-
-# Meshes from files
 
 
 def test_a_rectangle_from_a_file_is_the_built_one(tmp_path: Path) -> None:
@@ -277,38 +262,6 @@ def test_clamped_rhombic_plate_matches_nafems(tmp_path: Path, name: str) -> None
     assert np.all(found[1] < found[0] * (1 + 1e-6)), "refinement lowers frequencies"
 
 
-def with_hole(n: int, order: int) -> Quads:
-    """A square of 200 with a round hole of radius 40 in its middle, 8 n cells around it."""
-
-    def f(r: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        c, s = np.cos(2 * np.pi * a), np.sin(2 * np.pi * a)
-        outer = 100.0 / np.maximum(np.abs(c), np.abs(s))
-        radius = 40.0 + (outer - 40.0) * r
-        return 100.0 + radius * c, 100.0 + radius * s
-
-    # from a corner, so that corners of the square are corners of cells
-    turn = np.linspace(0.125, 1.125, 8 * n + 1)
-    quads = grid(np.linspace(0, 1, 2 * n + 1), turn, f, order, closed=True)
-    outline = quads.lines["x1"]
-    x, y, _ = np.moveaxis(quads.points[outline[:, :2]].mean(axis=1), -1, 0)
-    sides = {"x0": x < 1e-6, "x1": x > 200 - 1e-6, "y0": y < 1e-6, "y1": y > 200 - 1e-6}
-    named = {name: outline[where] for name, where in sides.items()}
-    return replace(quads, lines=named | {"hole": quads.lines["x0"]})
-
-
-@pytest.mark.parametrize("edges", ["FFFF", "CSFF"])
-def test_a_plate_with_a_hole_converges_and_curved_cells_do_so_sooner(tmp_path: Path, edges: str) -> None:
-    problem = plate(0.2, 0.2, 0.008, 1600.0, GLASS, (0.0, 90.0, 90.0, 0.0), edges)
-    found = {}
-    for n, order in ((2, 1), (2, 2), (4, 2), (8, 2)):
-        space = from_mesh(problem, with_hole(n, order), tmp_path)
-        found[n, order] = spectrum(problem, space, 4).frequencies[0]
-    error = {k: np.abs(f / found[8, 2] - 1.0).max() for k, f in found.items()}
-    assert error[4, 2] < 1e-3
-    assert error[4, 2] < error[2, 2] / 4
-    assert error[2, 2] < error[2, 1]
-
-
 def test_an_oblique_edge_has_its_own_length_and_no_simple_support(tmp_path: Path) -> None:
     def trapezoid(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return (200.0 - 40.0 * b) * a, 150.0 * b
@@ -324,3 +277,121 @@ def test_an_oblique_edge_has_its_own_length_and_no_simple_support(tmp_path: Path
     oblique = plate(0.2, 0.15, 0.004, 1600.0, CARBON, (0.0,), "CFSF")
     with pytest.raises(ValueError, match=r"'x1' is simply supported but not one straight line of"):
         from_mesh(oblique, quads, tmp_path)
+
+
+def dense_matrix(problem: Problem, space: FemSpace, values: Values, kind: str) -> np.ndarray:
+    """The matrix of all forms by B_left^T W B_right, with nothing left out."""
+    starts = np.cumsum([0, *(space.dimension(f) for f in FIELDS)])
+    place = {f: slice(a, b) for f, a, b in zip(FIELDS, starts[:-1], starts[1:], strict=True)}
+    matrix = np.zeros((starts[-1], starts[-1]))
+    coefficients = problem.coefficients(values, kind)
+    for form, c in zip(problem.forms(kind), coefficients, strict=True):
+        rule = space.quadrature(form.region, kind)
+        left = space.evaluate(form.left.field, rule, form.left.derivative).toarray()
+        right = space.evaluate(form.right.field, rule, form.right.derivative).toarray()
+        own = np.zeros_like(matrix)
+        own[place[form.left.field], place[form.right.field]] = left.T @ (rule.weights[:, None] * right)
+        matrix += c * (own if form.left == form.right else own + own.T)
+    return matrix
+
+
+@pytest.mark.parametrize("layup", [(0.0, 90.0, 90.0, 0.0), (30.0, -75.0)], ids=["sym", "unsym"])
+def test_blocks_assemble_what_dense_matrices_give(layup: tuple[float, ...]) -> None:
+    problem = add_known_mass(plate(0.2, 0.15, 0.006, 1600.0, CARBON, layup, "CSFF"), 0.01, 0.1, 0.1)
+    space = even(problem, 3)
+    operator = discretise_sparse(problem, space, {})
+    covered = np.concatenate([b.index for b in operator.blocks])
+    assert sorted(covered) == list(range(sum(space.dimension(f) for f in FIELDS)))
+    for kind in MATRICES:
+        dense = dense_matrix(problem, space, {}, kind)
+        scale = np.abs(dense).max()
+        for block in operator.blocks:
+            matrix = getattr(block, kind).assemble(problem.coefficients({}, kind)).toarray()
+            np.testing.assert_allclose(matrix, dense[np.ix_(block.index, block.index)], atol=1e-13 * scale)
+            dense[np.ix_(block.index, block.index)] = 0.0
+        assert np.abs(dense).max() <= 1e-13 * scale, "blocks do not couple"
+
+
+def test_symmetric_laminates_split_and_forms_that_only_some_samples_need_are_kept() -> None:
+    problem = plate(0.2, 0.15, 0.006, 1600.0, CARBON)
+    angles = np.array([[0.0, 0.0], [0.0, 90.0]])  # symmetric, and not
+
+    def state(values: Values) -> PlateState:
+        layup = angles[np.asarray(values["which"], dtype=int)]
+        return replace(problem.nominal, layup=layup, symmetric=False)
+
+    choosing = replace(problem, state=state)
+    n = 40  # nodes of 3 x 3 elements of 8 nodes
+    for which, expected in (([0, 0], [2 * n, 3 * n]), ([0, 1], [5 * n])):
+        found = discretise_sparse(choosing, even(problem, 3), {"which": np.array(which)})
+        assert [b.size for b in found.blocks] == expected
+
+
+def test_a_block_as_small_as_what_is_asked_of_it_is_solved() -> None:
+    problem = plate(0.2, 0.15, 0.006, 1600.0, CARBON, (0.0,), "CCCC")
+    space = even(problem, 2)
+    operator = discretise_sparse(problem, space, {})
+    assert [b.size for b in operator.blocks] == [10, 15]
+    k, m = operator.coefficients({})
+    dense = [scipy.linalg.eigh(
+        b.stiffness.assemble(k).toarray(), b.mass.assemble(m).toarray(), eigvals_only=True
+    ) for b in operator.blocks]  # fmt: skip
+    expected = np.sort(np.concatenate(dense))
+    for n in (20, 25):
+        found = solve(operator, k, m, n).eigenvalues[0]
+        np.testing.assert_allclose(found, expected[:n], rtol=1e-9)
+    with pytest.raises(ValueError, match="26 modes asked for, the space has 25"):
+        solve(operator, k, m, 26)
+
+
+def count_below(block: SparseBlock, stiffness: np.ndarray, mass: np.ndarray, value: float) -> int:
+    """Eigenvalues below a value, as many as K - value M has negative pivots (Sylvester)."""
+    matrix = block.stiffness.assemble(stiffness) - value * block.mass.assemble(mass)
+    factor = splu(
+        matrix.tocsc(),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    assert np.array_equal(factor.perm_r, factor.perm_c)
+    return int(np.sum(factor.U.diagonal() < 0))
+
+
+@pytest.mark.parametrize("edges", ["FFFF", "SSSS", "CCCC"])
+@pytest.mark.parametrize("thickness", [0.002, 0.05])
+def test_no_mode_of_a_square_plate_is_missed(edges: str, thickness: float) -> None:
+    # isotropic squares have equal pairs, of which Lanczos may find one; (1,7), (7,1) and (5,5) of
+    # the simply supported one are three
+    problem = plate(0.2, 0.2, thickness, 1000.0, ALUMINIUM, (0.0,), edges)
+    operator = discretise_sparse(problem, even(problem, 10), {})
+    k, m = operator.coefficients({})
+    for block in operator.blocks:
+        lam = block.eigenvalues(k[None], m[None], 60)[0]
+        gaps = np.flatnonzero(lam[1:] > lam[:-1] * (1 + 1e-4))
+        gaps = gaps[lam[gaps] > 1e-3 * lam[10]]
+        for i in gaps[::6]:
+            middle = (lam[i] + lam[i + 1]) / 2
+            assert count_below(block, k, m, middle) == i + 1
+        for n in (4, 5, 8, 13, 21):
+            fewer = block.eigenvalues(k[None], m[None], n)[0]
+            np.testing.assert_allclose(fewer, lam[:n], rtol=1e-8, atol=1e-9 * lam[10])
+
+
+def test_solving_twice_gives_the_same_bits_and_leaves_the_operator_alone() -> None:
+    problem = plate(0.2, 0.2, 0.004, 1600.0, ALUMINIUM)
+    operator = discretise_sparse(problem, even(problem, 6), {})
+    first, again = (solve(operator, *operator.coefficients({}), 6).eigenvalues for _ in range(2))
+    np.testing.assert_array_equal(again, first)
+    pattern = operator.blocks[0].stiffness.pattern
+    assert pattern is operator.blocks[0].mass.pattern
+    assert not any(array.flags.writeable for array in (pattern.rows, pattern.columns, pattern.starts))
+
+
+@pytest.mark.parametrize("scale", [0.1, 1.0, 10.0])
+def test_the_shift_serves_stiffnesses_far_from_the_nominal_one(scale: float) -> None:
+    # frequencies of a plate whose stiffness is scaled as a whole are scaled by the root
+    problem = plate(0.26, 0.26, 0.0032, 1590.0, CARBON, CROSS_PLY_16S)
+    operator = discretise_sparse(problem, even(problem, 8), {})
+    k, m = operator.coefficients({})
+    found = solve(operator, scale**2 * k, m, 6).frequencies
+    np.testing.assert_allclose(found, scale * solve(operator, k, m, 6).frequencies, rtol=1e-8)

@@ -87,26 +87,6 @@ def test_masses_in_air_are_those_of_all_matrices() -> None:
     np.testing.assert_allclose(model.predict(x).frequencies, expected, rtol=1e-6)
 
 
-@every_edge
-def test_vectors_are_modes_of_the_joined_space(edges: str) -> None:
-    model = model_of(edges, "several")
-    x = sets_of(model.operator.problem)
-    stiffness, mass = model.coefficients(x)
-    spectrum = model.spectrum(x, vectors=True)
-    for b, block in enumerate(model.operator.blocks):
-        whole = block.dense()
-        for s, i in zip(*np.nonzero(spectrum.block == b), strict=True):
-            _, phi = spectrum.vector(s, i)
-            k, m = whole.stiffness.assemble(stiffness[s]), whole.mass.assemble(mass[s])
-            np.testing.assert_allclose(m, block.mass_at(mass[s]), atol=1e-12 * m.max())
-            lam = spectrum.eigenvalues[s, i]
-            assert phi @ m @ phi == pytest.approx(1.0, abs=1e-6)
-            assert phi @ k @ phi == pytest.approx(lam, rel=1e-6)
-            energies = block.energies(phi[None])
-            for energy, of_all in zip(energies, whole.energies(phi[None]), strict=True):
-                np.testing.assert_allclose(energy, of_all, rtol=1e-9, atol=1e-12 * np.abs(of_all).max())
-
-
 def test_fewer_terms_and_functions_and_a_basis_leave_the_same_matrices() -> None:
     model = model_of("CFFF", "several")
     x = sets_of(model.operator.problem)

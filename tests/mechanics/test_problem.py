@@ -90,9 +90,6 @@ def by_quadrature(problem: Problem, space: RitzSpace) -> tuple[np.ndarray, np.nd
     return k, scipy.linalg.block_diag(*blocks)
 
 
-# Rigid-body motions
-
-
 @pytest.mark.parametrize("edges", ALL_EDGES)
 def test_rigid_body_count_is_the_null_space_of_the_stiffness(edges: str) -> None:
     problem = thick(edges)
@@ -130,9 +127,6 @@ def test_trial_functions_vanish_where_an_edge_holds_them_and_only_there(edges: s
             assert (largest < 1e-10) == (field in held[condition][name[0]]), (name, field)
 
 
-# Forms
-
-
 @pytest.mark.parametrize(
     ("edges", "settings"),
     [
@@ -151,9 +145,6 @@ def test_affine_sum_is_the_quadrature_of_strain_and_kinetic_energy(
     # both integrate exactly; sums of some hundred points leave 1e-13 of the largest entry
     np.testing.assert_allclose(k, expected_k, rtol=0, atol=1e-12 * np.abs(expected_k).max())
     np.testing.assert_allclose(m, expected_m, rtol=0, atol=1e-12 * np.abs(expected_m).max())
-
-
-# Coefficients
 
 
 def test_coefficients_of_a_stack_of_states_are_those_of_each() -> None:
