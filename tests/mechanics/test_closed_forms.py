@@ -1,7 +1,5 @@
 """The forward solver against closed forms, published values, and what must hold of any plate."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import scipy.linalg
@@ -12,7 +10,7 @@ from cpam_bayes.mechanics.convergence import Tolerance
 from cpam_bayes.mechanics.dense import discretise_at
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import Problem, Region
-from cpam_bayes.mechanics.ritz import Quadrature, RitzSettings, ritz_space
+from cpam_bayes.mechanics.ritz import Quadrature, RitzSettings, RitzSpace, ritz_space
 from cpam_bayes.plate import read_specimen
 from cpam_bayes.plate.edges import FIELDS
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT
@@ -70,52 +68,29 @@ def test_isotropic_square_tends_linearly_in_h_to_leissa(edges: str) -> None:
     assert np.all(thick < thin), "shear deformation lowers every frequency"
 
 
-PLY = CARBON | {"G13": 5.1e9, "G23": 3.0e9}
-LENGTH, WIDTH, THICKNESS = 0.3, 0.2, 0.02
-GENERAL = (20.0, -65.0, 40.0)
-N_MODES = 8
-BASIS = RitzSettings(7, 6, 1, True)
-# A symmetry of the plate is one of the basis too: only rounding is left, 1e-16 of the range of K.
-ROUNDING = 1e-9
-
-
-def laminate(
-    layup: tuple[float, ...] = GENERAL, edges: str = "FFFF", length: float = LENGTH, width: float = WIDTH
-) -> Problem:
-    return plate(length, width, THICKNESS, 1600.0, PLY, layup, edges, ENERGY_CONSISTENT)
-
-
-def solved(problem: Problem, settings: RitzSettings = BASIS, n_modes: int = N_MODES) -> np.ndarray:
+def solved(problem: Problem, space: RitzSpace, n_modes: int) -> np.ndarray:
     """Frequencies on a fixed basis, (n_modes,) Hz."""
-    operator = discretise_at(problem, ritz_space(problem.edges, problem.nominal, settings), {})
+    operator = discretise_at(problem, space, {})
     return np.asarray(solve(operator, np.eye(1), np.eye(1), n_modes).frequencies[0])
 
 
-@pytest.mark.parametrize("edges", ["FFFF", "CSFF", "SFCS"])
-def test_plate_turned_by_a_right_angle_has_the_same_frequencies(edges: str) -> None:
-    # counterclockwise: y = width comes to x = 0, x = 0 to y = 0, and so on
-    x0, y0, x1, y1 = tuple(edges)
-    turned = laminate(tuple(a + 90.0 for a in GENERAL), y1 + x0 + y0 + x1, length=WIDTH, width=LENGTH)
-    basis = replace(BASIS, degree_x=BASIS.degree_y, degree_y=BASIS.degree_x)
-    np.testing.assert_allclose(solved(turned, basis), solved(laminate(GENERAL, edges)), rtol=ROUNDING)
-
-
-@pytest.mark.parametrize("place", [(0.0, 0.0), (LENGTH, WIDTH), (0.11, 0.07)])
+@pytest.mark.parametrize("place", [(0.0, 0.0), (0.3, 0.2), (0.11, 0.07)])
 def test_a_mass_is_a_rank_one_change_for_each_direction_of_motion(place: tuple[float, float]) -> None:
-    mass = 0.05
-    bare = laminate()
-    space = ritz_space("FFFF", bare.nominal, BASIS)
+    mass, thickness, n = 0.05, 0.02, 8
+    constants = CARBON | {"G13": 5.1e9, "G23": 3.0e9}
+    bare = plate(0.3, 0.2, thickness, 1600.0, constants, (20.0, -65.0, 40.0), "FFFF", ENERGY_CONSISTENT)
+    space = ritz_space("FFFF", bare.nominal, RitzSettings(7, 6, 1, True))
     k, m = by_quadrature(bare, space)
-    rule = Quadrature(Region("point"), np.array([place]) / (LENGTH, WIDTH), np.ones(1))
+    rule = Quadrature(Region("point"), np.array([place]) / (0.3, 0.2), np.ones(1))
     for field in FIELDS:
         row = np.concatenate([space.evaluate(f, rule, "")[0] * float(f == field) for f in FIELDS])
-        m += mass * (THICKNESS**2 / 4 if field.startswith("phi") else 1.0) * np.outer(row, row)
+        m += mass * (thickness**2 / 4 if field.startswith("phi") else 1.0) * np.outer(row, row)
     scale = 1.0 / np.sqrt(np.diagonal(m))
     lam = scipy.linalg.eigh(k * scale[:, None] * scale, m * scale[:, None] * scale, eigvals_only=True)
-    expected = np.sqrt(lam[6 : 6 + N_MODES]) / (2 * np.pi)
+    expected = np.sqrt(lam[6 : 6 + n]) / (2 * np.pi)
     # rigid-body motions carry 1e-16 of the largest eigenvalue, 1e-8 of the first
-    np.testing.assert_allclose(solved(add_known_mass(bare, mass, *place)), expected, rtol=1e-7)
-    assert np.min(expected / solved(bare)) < 0.999, "the mass is felt"
+    np.testing.assert_allclose(solved(add_known_mass(bare, mass, *place), space, n), expected, rtol=1e-7)
+    assert np.min(expected / solved(bare, space, n)) < 0.999, "the mass is felt"
 
 
 TABLE_1 = {

@@ -21,6 +21,7 @@ from cpam_bayes.mechanics.modes import (
     Mode,
     RigidBodyError,
     Spectrum,
+    check_rigid,
     describe_modes,
     energy_terms,
     solve,
@@ -158,6 +159,9 @@ def test_too_many_and_too_few_rigid_body_motions_are_an_error(name: str, edges: 
     pretended = replace(m.operator, problem=replace(m.operator.problem, edges=edges))
     with pytest.raises(RigidBodyError, match=f"leave {rigid} rigid-body motions"):
         solve(pretended, *m.coefficients(points(m, 1)), 6)
+    # one too many, with rounding that is above zero
+    with pytest.raises(RigidBodyError, match="leave 0 rigid-body motions"):
+        check_rigid(np.array([1e-6, 1e3, 1e6]), 0, supported=False)
 
 
 @pytest.mark.parametrize(
