@@ -42,9 +42,6 @@ def modes() -> ForwardResult:
     return cb.forward("A1", 2)
 
 
-# Names
-
-
 def test_the_public_names_are_those_that_are_loaded_and_those_that_type_checkers_see() -> None:
     tree = ast.parse(Path(cb.__file__).read_text("utf-8"))
     (annotations,) = (node for node in tree.body if isinstance(node, ast.If))
@@ -72,22 +69,17 @@ def test_every_public_name_says_what_it_is_with_a_readable_signature_and_annotat
         assert all(p.annotation is not inspect.Parameter.empty for p in signature.parameters.values())
 
 
-COLLIDING = """
-import importlib, inspect, json, pkgutil
+def test_every_verb_is_a_function_after_all_modules_are_imported() -> None:
+    code = f"""
+import importlib, inspect, pkgutil
 import cpam_bayes as cb
 for module in pkgutil.walk_packages(cb.__path__, "cpam_bayes."):
     if not module.name.endswith("__main__"):
         importlib.import_module(module.name)
-print(json.dumps([name for name in VERBS * 2 if not inspect.isfunction(getattr(cb, name))]))
+print([name for name in {VERBS * 2!r} if not inspect.isfunction(getattr(cb, name))])
 """
+    assert subprocess.check_output([sys.executable, "-c", code], text=True, timeout=120) == "[]\n"
 
-
-def test_every_verb_is_a_function_after_all_modules_are_imported() -> None:
-    command = [sys.executable, "-c", COLLIDING.replace("VERBS", repr(VERBS))]
-    assert json.loads(subprocess.check_output(command, timeout=120)) == []
-
-
-# Refusals
 
 # What is changed in the aluminium plate and its list.
 NO_LIST = (MEASURED, "")
@@ -101,19 +93,15 @@ AIR = ("[measurement]", "[environment]\nair_density_kg_m3 = 1.2\n[measurement]")
 THIN = ("thickness_mm = 3.0", "thickness_mm = 0.003")
 NARROW = ("E1_GPa = [10.0, 200.0]", "E1_GPa = [10.0, 60.0]")
 KNOWN = ("nu12 = 0.33\n", "nu12 = 0.33\n[material.sd]\nE1_GPa = 0.1\n")
-NO_SIZES = (("300.0", "0.0"), ("280.0", "nan"))
+NO_WIDTH = ("280.0", "nan")
+SD_OF_EACH = ("resolution_hz = 1.0", "frequency_sd_hz = [1, 1, 1, 1, 1, 1]")
 TO_CCX = partial(cb.export, path="x.inp"), "export --to ccx --out x.inp"
 BY_CCX = partial(cb.forward, solver="ccx"), "forward --solver ccx"
-BY_EMCEE = cb.sample, "identify --backend emcee"
-BY_PSO = cb.identify, "identify --backend pso"
+BY_PSO, BY_EMCEE = (cb.identify, "identify --backend pso"), (cb.sample, "identify --backend emcee")
 OF_THE_LIST = partial(cb.sensitivity, source="measured"), "sensitivity --list measured"
-IDENTIFY, DIAGNOSE, REPORT = (
-    (cb.identify, "identify"),
-    (cb.diagnose, "diagnose"),
-    (cb.report, "report --out out"),
-)
+IDENTIFY, DIAGNOSE = (cb.identify, "identify"), (cb.diagnose, "diagnose")
+REPORT, SENSITIVITY = (cb.report, "report --out out"), (cb.sensitivity, "sensitivity")
 FORWARD, SEQUENCE, CALIBRATE = (cb.forward, "forward"), (cb.sequence, "sequence"), (cb.calibrate, "calibrate")
-SENSITIVITY = cb.sensitivity, "sensitivity"
 
 REFUSED_PLATES: list[tuple[tuple[tuple[str, str], ...], tuple[Callable[..., object], str], str]] = [
     ((GAPS,), BY_PSO, "measurement.complete: received false, this version pairs the first model mode"),
@@ -130,7 +118,7 @@ REFUSED_PLATES: list[tuple[tuple[tuple[str, str], ...], tuple[Callable[..., obje
     ((NO_UNKNOWNS,), SENSITIVITY, "[unknowns] is missing, nothing to identify"),
     ((NO_UNKNOWNS,), (cb.design, "design"), "[unknowns] is missing; name the constants to be determined"),
     (
-        (("resolution_hz = 1.0", "frequency_sd_hz = [1, 1, 1, 1, 1, 1]"),),
+        (SD_OF_EACH,),
         CALIBRATE,
         "measurement.frequency_sd_hz: calibrate takes one repeatability for all modes; state relative_std",
     ),
@@ -155,7 +143,7 @@ REFUSED_PLATES: list[tuple[tuple[tuple[str, str], ...], tuple[Callable[..., obje
     ((("E1_GPa = 69.0", "E1_GPa = 8.0"),), SENSITIVITY, "material.E1_GPa: 8 lies outside its search bounds"),
     ((NARROW, KNOWN), DIAGNOSE, "unknowns.E1: its bounds leave nothing within 4 standard deviations"),
     ((THIN,), IDENTIFY, "plate.thickness_mm: received 0.003, 1/100000 of the longer side, too thin"),
-    (NO_SIZES, FORWARD, "plate.width_mm: not a finite number"),
+    ((("300.0", "0.0"), NO_WIDTH), FORWARD, "plate.width_mm: not a finite number"),
 ]
 
 
@@ -181,19 +169,6 @@ def test_a_plate_is_refused_by_a_question_with_the_text_of_its_command(
     assert err == "".join(f"error: {line}\n" for line in str(refused.value).splitlines())
 
 
-def test_a_plate_can_be_given_as_its_content_and_a_wrong_key_is_named(plate_file: Write) -> None:
-    content = tomllib.loads(PLATE + MEASURED)
-    specimen = cb.read_plate(content)
-    from_file = cb.read_plate(plate_file())
-    assert repr(replace(specimen, source=from_file.source)) == repr(from_file)
-    assert cb.read_plate(specimen) is specimen
-    content["plate"]["width_m"] = 0.28
-    with pytest.raises(
-        PlateFileError, match=r"plate\.width_m: unknown key, the nearest known key is width_mm"
-    ):
-        cb.forward(content)
-
-
 @pytest.mark.parametrize(
     ("call", "said"),
     [
@@ -202,12 +177,7 @@ def test_a_plate_can_be_given_as_its_content_and_a_wrong_key_is_named(plate_file
         (lambda: cb.diagnose(), "plates: received none, accepted: one plate or more"),
         (lambda: cb.diagnose(*["A1"] * 51), "plates: received 51, accepted: one plate or more, 50 at most"),
         (lambda: cb.forward("A1", solver="abaqus"), "solver: received 'abaqus', accepted: ritz fem ccx"),
-        (lambda: cb.forward("A1", element="brick"), "received brick, accepted: with --solver ccx only"),
-        (
-            lambda: cb.identify("A1", residuals="both"),
-            "residuals: received 'both', accepted: absolute relative",
-        ),
-        (lambda: cb.sensitivity("A1", n_modes=4, source="measured"), "with --list model only"),
+        (lambda: cb.identify("A1", residuals="x"), "residuals: received 'x', accepted: absolute relative"),
         (lambda: cb.sensitivity("A1", source="x"), "source: received 'x', accepted: measured model"),
         (lambda: cb.sensitivity("A1", readings="x"), "readings: received 'x', accepted: relative rms"),
         (lambda: cb.sensitivity("A1", readings=[]), "readings: received '', accepted: relative rms"),
@@ -222,7 +192,6 @@ def test_a_plate_can_be_given_as_its_content_and_a_wrong_key_is_named(plate_file
         ),
         (lambda: cb.sample("A1", seed=-1), "seed: received -1, accepted: a whole number from 0"),
         (lambda: cb.sample("A1", likelihood="x"), "likelihood: received 'x', accepted: relative absolute"),
-        (lambda: cb.sample("A1", store=""), "store: received '', accepted: a directory"),
         (lambda: cb.posterior("A1", likelihood="x"), "likelihood: received 'x'"),
         (lambda: cb.sequence("C1", top=0), "top: received 0, accepted: a whole number from 1 to 2000"),
         (lambda: cb.diagnose("A1", next_test="x"), "next_test: received 'x', accepted: open always never"),
@@ -260,14 +229,12 @@ def test_an_argument_of_a_wrong_type_is_named_before_any_work(name: str) -> None
         (lambda: cb.identify("A1", seed=None), "seed: received None, accepted: a whole number"),
         (lambda: cb.identify("A1", seed=True), "seed: received True, accepted: a whole number"),
         (lambda: cb.export("A1", n_modes=2.5), "n_modes: received 2.5, accepted: a whole number or None"),
-        (lambda: cb.forward("A1", n_modes="3"), "n_modes: received '3', accepted: a whole number or None"),
         (
             lambda: cb.forward(None),
             "plate: received None, accepted: a text or a path or a mapping or a Specimen",
         ),
         (lambda: cb.diagnose("A1", 3), "plates: received 3, accepted: a text or a path or a mapping"),
         (lambda: cb.diagnose("A1", prior_none="a"), "prior_none: received 'a', accepted: a number or None"),
-        (lambda: cb.sequence("C1", executor=4), "executor: received 4, accepted: a text"),
         (
             lambda: cb.sensitivity("A1", levels=0.01),
             "levels: received 0.01, accepted: a sequence of which each is a number",
@@ -278,7 +245,6 @@ def test_an_argument_of_a_wrong_type_is_named_before_any_work(name: str) -> None
             lambda: cb.design("A1", constants="nu12"),
             r"constants: received 'nu12', accepted: .*as \['nu12'\]$",
         ),
-        (lambda: cb.plates().save(3), "directory: received 3, accepted: a text or a path"),
         (lambda: cb.plates().save(None), "directory: received None, accepted: a text or a path"),
     ],
 )
@@ -287,21 +253,22 @@ def test_what_is_said_of_a_wrong_type(call: Callable[[], object], said: str) -> 
         call()
 
 
-def test_a_plate_of_arrays_and_tuples_is_that_of_lists() -> None:
-    lists = tomllib.loads(PLATE + MEASURED)
-    others = tomllib.loads(PLATE + MEASURED)
-    others["measurement"]["frequencies_hz"] = np.array(lists["measurement"]["frequencies_hz"])
-    others["unknowns"] = {name: tuple(bounds) for name, bounds in lists["unknowns"].items()}
-    others["plate"]["length_mm"] = np.float32(lists["plate"]["length_mm"])
-    read, expected = cb.read_plate(others), cb.read_plate(lists)
-    assert read.plate.length == expected.plate.length
-    assert read.unknowns == expected.unknowns
-    assert read.measurement is not None
-    assert expected.measurement is not None
-    assert read.measurement.frequencies.tolist() == expected.measurement.frequencies.tolist()
-    others["measurement"]["frequencies_hz"] = np.array([[114.0, 167.0]])
+def test_a_plate_can_be_given_as_its_content_in_lists_tuples_or_arrays(plate_file: Write) -> None:
+    content = tomllib.loads(PLATE + MEASURED)
+    specimen, from_file = cb.read_plate(content), cb.read_plate(plate_file())
+    assert repr(replace(specimen, source=from_file.source)) == repr(from_file)
+    assert cb.read_plate(specimen) is specimen
+    content["measurement"]["frequencies_hz"] = np.array(content["measurement"]["frequencies_hz"])
+    content["unknowns"] = {name: tuple(bounds) for name, bounds in content["unknowns"].items()}
+    content["plate"]["length_mm"] = np.float32(content["plate"]["length_mm"])
+    assert repr(cb.read_plate(content)) == repr(specimen)
+    content["plate"]["width_m"] = 0.28
+    with pytest.raises(PlateFileError, match=r"plate\.width_m: unknown key, the nearest known .* width_mm"):
+        cb.forward(content)
+    del content["plate"]["width_m"]
+    content["measurement"]["frequencies_hz"] = np.array([[114.0, 167.0]])
     with pytest.raises(PlateFileError, match="frequencies_hz item 1: wrong type"):
-        cb.read_plate(others)
+        cb.read_plate(content)
 
 
 def test_a_name_or_argument_that_is_not_there_is_left_to_python_and_numbers_of_numpy_are_numbers() -> None:
@@ -312,11 +279,7 @@ def test_a_name_or_argument_that_is_not_there_is_left_to_python_and_numbers_of_n
     with pytest.raises(TypeError, match="missing 1 required positional argument: 'plate'"):
         cb.forward()
     computed = cb.forward("A1", np.int64(1), seed=np.int32(3))
-    assert computed.frequencies.shape == (1,)
     assert cb.forward(plate="A1", n_modes=1).frequencies == computed.frequencies
-
-
-# The same answers
 
 
 def without_seconds(value: Any) -> Any:
@@ -357,32 +320,17 @@ def test_a_call_gives_the_document_warnings_and_status_of_its_command(
     assert without_seconds(json.loads(out)) == without_seconds(document)
 
 
-# What a result can do
-
-
-def test_a_summary_is_the_screen_of_the_command(modes: ForwardResult, run: Run) -> None:
-    _, out, _ = run("forward", "A1", "--modes", "2", "--quiet")
-
-    def untimed(text: str) -> list[str]:
-        return [line for line in text.splitlines() if not line.startswith("  time ")]
-
-    assert untimed(modes.summary()) == untimed(out)
-
-
-def test_a_result_is_one_line_where_it_is_echoed_and_equal_to_itself_alone(
-    point: PointResult, modes: ForwardResult
+def test_a_result_is_one_line_equal_to_itself_alone_and_draws_what_is_asked_for(
+    point: PointResult, modes: ForwardResult, run: Run
 ) -> None:
     assert repr(point) == "<PointResult of identify A1: converged, warnings: 1>"
-    assert repr(modes).startswith("<ForwardResult of forward ")
     assert (point.status, point.reached_goal, point.title) == ("converged", True, "A1")
     assert (modes.status, modes.warnings) == ("done", ())
+    assert modes.summary() == run("forward", "A1", "--modes", "2", "--quiet")[1]
     again = pickle.loads(pickle.dumps(point))
     assert point == point
     assert point != again  # arrays have no truth value to compare results by
     assert again.to_dict() == point.to_dict()
-
-
-def test_a_figure_is_asked_for_by_its_name(point: PointResult, modes: ForwardResult) -> None:
     assert list(point.figures()) == ["residuals", "predicted_against_measured", "modes", "plate"]
     assert "residuals" in point.plot().axes[0].get_title("left")
     assert point.plot("predicted_against_measured").axes[0].get_xlabel() == "measured, Hz"
@@ -407,8 +355,6 @@ def test_saving_writes_the_files_of_the_command(point: PointResult, tmp_path: Pa
         point.save(out / "identify.json")
 
 
-# Examples
-
 # The same calls with other seeds, which other tests make, are marked weekly.
 MARKS = {
     **dict.fromkeys(("diagnose", "sample", "sequence"), (pytest.mark.slow,)),
@@ -424,7 +370,7 @@ def test_the_examples_give_what_they_show(name: str) -> None:
     assert doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(example).failed == 0
 
 
-def test_no_other_example_of_these_modules_is_left_out() -> None:
+def test_examples_stand_at_the_verbs_alone() -> None:
     found = {
         example.name
         for module in sorted(set(cb._PUBLIC.values()))
@@ -438,6 +384,5 @@ def test_a_name_with_a_slash_makes_no_path(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.chdir(tmp_path)
     named = tomllib.loads(PLATE + MEASURED) | {"name": "batch 3/plate 7"}
     cb.forward(named, n_modes=2).save(tmp_path / "forward")
-    assert (tmp_path / "forward" / "report.html").is_file()
     assert str(cb.export(named).path) == "batch_3_plate_7.inp"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["batch_3_plate_7.inp", "forward"]
