@@ -1,30 +1,43 @@
-"""Result files appear when all of them are whole, or not at all."""
+"""Result files appear when all of them are whole, or not at all; figures are drawn alike every time."""
 
 import errno
 import json
 import os
+import re
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from cpam_bayes.questions.forward import ModeShape
 from cpam_bayes.questions.plates import BuiltinPlates, plates
+from cpam_bayes.render.figures import save_figures
 from cpam_bayes.render.files import save, staging
 from cpam_bayes.render.page import PAGE, command_of
+from tests.answers import answered
 
 RESULT = plates()
+
+
+@pytest.fixture(scope="module")
+def forward_result():
+    """Three modes of a clamped plate."""
+    return answered("forward")
 
 
 def listed(directory):
     return sorted(str(path.relative_to(directory)) for path in directory.rglob("*"))
 
 
-def test_without_a_directory_nothing_is_written(tmp_path, monkeypatch):
+def saved(result, directory):
+    with staging(None if directory is None else str(directory)) as stage:
+        return save(result, stage)
+
+
+def test_an_older_result_is_replaced_and_other_files_stay(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with staging(None) as stage:
-        save(RESULT, stage)
+    assert saved(RESULT, None) == ()
     assert listed(tmp_path) == []
-
-
-def test_an_older_result_is_replaced_and_other_files_stay(tmp_path):
     (tmp_path / "plates.json").write_text("old")
     (tmp_path / "notes.txt").write_text("mine")
     with staging(str(tmp_path)) as stage:
@@ -54,31 +67,23 @@ def test_two_runs_into_one_directory_leave_whole_files_of_the_last_and_no_drafts
     assert len(notes) == 1
     assert json.loads((tmp_path / "plates.json").read_text()) == RESULT.to_dict()
     assert json.loads((tmp_path / "forward.json").read_text()) == forward_result.to_dict()
-    assert command_of(tmp_path / PAGE) == "forward"
     assert not [name for name in listed(tmp_path) if "cpam-bayes" in name]
 
 
 def test_the_page_of_another_command_is_kept_under_its_name(tmp_path, forward_result):
-    def saved(result):
-        with staging(str(tmp_path)) as stage:
-            return save(result, stage)
-
-    def command():
-        return command_of(tmp_path / PAGE)
-
-    assert saved(RESULT) == ()
-    assert saved(RESULT) == ()
-    first = (tmp_path / PAGE).read_text("utf-8")
-    (note,) = saved(forward_result)
-    assert note == f"{tmp_path / PAGE} is now that of forward, that of plates is kept as plates_page.html"
-    assert command() == "forward"
+    page = tmp_path / PAGE
+    assert [saved(RESULT, tmp_path) for _ in range(2)] == [(), ()]
+    first = page.read_text("utf-8")
+    (note,) = saved(forward_result, tmp_path)
+    assert note == f"{page} is now that of forward, that of plates is kept as plates_page.html"
+    assert command_of(page) == "forward"
     assert (tmp_path / "plates_page.html").read_text("utf-8") == first
     # a page of one command stands at one place
-    assert len(saved(RESULT)) == 1
-    assert command() == "plates"
+    assert len(saved(RESULT, tmp_path)) == 1
+    assert command_of(page) == "plates"
     assert {path.name for path in tmp_path.glob("*.html")} == {PAGE, "forward_page.html"}
-    (tmp_path / PAGE).write_text("<title>coverage</title>")
-    assert command() is None
+    page.write_text("<title>coverage</title>")
+    assert command_of(page) is None
 
 
 @pytest.mark.parametrize("end", [KeyboardInterrupt, RuntimeError])
@@ -116,3 +121,39 @@ def test_a_directory_that_cannot_be_written_to_is_refused_before_the_work(tmp_pa
     with pytest.raises(ValueError, match=said), staging(name):
         raise AssertionError("the work has begun")
     assert listed(tmp_path) == ["figures", "read only"]
+
+
+def written(figures, directory):
+    directory.mkdir()
+    save_figures(figures, directory)
+    return {path.name: path.read_bytes() for path in directory.iterdir()}
+
+
+def test_two_figures_on_one_page_share_no_element_name_and_modes_have_their_labels(forward_result, tmp_path):
+    files = written(forward_result.figures(), tmp_path / "figures")
+    names = ("handling", "modes", "plate")
+    assert set(files) == {f"{name}.{ending}" for name in names for ending in ("png", "svg")}
+    assert not any(b"<dc:date>" in content for content in files.values())
+    svgs = [content for name, content in files.items() if name.endswith(".svg")]
+    ids = [set(re.findall(rb'id="(m[0-9a-f]{10}|p[0-9a-f]{10})"', content)) for content in svgs]
+    assert all(ids)
+    assert not ids[0] & ids[1]
+    titles = [axes.get_title() for axes in forward_result.plot("modes").axes if axes.get_title()]
+    assert re.fullmatch(r"1: 1351\.\d+ Hz\nbending \(1,1\)", titles[0])
+    assert len(titles) == 3
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_in_plane_modes_and_modes_of_one_sign_are_drawn_too(forward_result, share, tmp_path):
+    ramp = np.add.outer(np.linspace(0, 1, 41), np.linspace(0, 1, 41))
+    mode = replace(forward_result.modes[0], in_plane_fraction=share)
+    shape = ModeShape(ramp, -ramp, ramp)
+    result = replace(forward_result, modes=(mode,), shapes=(shape,), error=np.array([1e-5]))
+    assert len(written(result.figures(), tmp_path / "figures")["modes.png"]) > 1000
+
+
+def test_a_shape_and_its_negative_are_the_same_picture(forward_result, tmp_path):
+    turned = replace(forward_result, shapes=tuple(ModeShape(-s.u, -s.v, -s.w) for s in forward_result.shapes))
+    results = {"as found": forward_result, "turned": turned}
+    first, second = (written(r.figures(), tmp_path / name)["modes.png"] for name, r in results.items())
+    assert first == second

@@ -1,13 +1,15 @@
 """One page for every answer: whole in itself, the answer first, for every reader."""
 
 import re
+from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
 
 from cpam_bayes.render.page import TERMS, page_text, terms_section
-from tests.browser import Browser, faults
+from tests.answers import EVERY, answered
+from tests.browser import Browser, faults, open_browser
 from tests.render.small import REPORT, RESULT
 
 PROJECT = Path(__file__).parents[2]
@@ -81,6 +83,12 @@ class Outline(HTMLParser):
 
 
 @pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with open_browser() as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page of the small answer, as `--out` writes it."""
     out = tmp_path_factory.mktemp("small")
@@ -95,21 +103,19 @@ def test_a_page_says_the_answer_first_then_the_fit_and_folds_the_rest(page: Path
     assert "Empty" not in body
 
 
-def test_a_page_is_whole_in_itself(page: Path) -> None:
+def test_a_page_is_whole_in_itself_and_can_be_read_aloud(page: Path) -> None:
     text = page.read_text("utf-8")
     outline = Outline(text)
     assert all(source.startswith("data:") for source in outline.loaded)
     assert "<script" not in text
-    assert "default-src 'none'" in text
     assert "url(" not in text
-    assert "<title>identify</title>" in text
-
-
-def test_a_page_can_be_read_aloud(page: Path) -> None:
-    text = page.read_text("utf-8")
-    outline = Outline(text)
-    assert '<html lang="en">' in text
-    assert '<meta name="viewport" content="width=device-width, initial-scale=1">' in text
+    for part in (
+        "default-src 'none'",
+        "<title>identify</title>",
+        '<html lang="en">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+    ):
+        assert part in text
     assert outline.headings[0] == 1
     assert outline.headings.count(1) == 1
     steps = zip(outline.headings, outline.headings[1:], strict=False)
@@ -135,24 +141,37 @@ def test_a_page_explains_the_words_that_it_uses_as_the_glossary_does() -> None:
     assert all(meaning in text for word, meaning in TERMS.items() if word == "walker")
 
 
-# In a browser
+@pytest.mark.needs_browser
+@pytest.mark.parametrize("name", EVERY)
+def test_the_page_of_a_command_has_no_fault_on_a_screen_and_on_a_phone(
+    browser: Browser, name: str, tmp_path: Path
+) -> None:
+    answered(name).save(tmp_path)
+    page = tmp_path / "report.html"
+    assert faults(browser, page, WIDE) == []
+    assert faults(browser, page, PHONE) == []
+    assert page.stat().st_size < 5_000_000
 
 
 @pytest.mark.needs_browser
-@pytest.mark.parametrize("width", [WIDE, PHONE])
-def test_a_page_in_a_browser(browser: Browser, page: Path, width: int) -> None:
-    assert faults(browser, page, width) == []
+def test_small_letters_and_what_asks_the_network_are_found(
+    browser: Browser, page: Path, tmp_path: Path
+) -> None:
+    assert faults(browser, page, PHONE) == []
+    own = tmp_path / "page.html"
+    own.write_text(re.sub(r'style="min-width: \d+px"', "", page.read_text("utf-8")), encoding="utf-8")
+    assert any(fault.startswith("small letters") for fault in faults(browser, own, PHONE))
+    asked = "http://127.0.0.1:9/x.png"
+    own.write_text(f'<img src="{asked}"><script>console.log("said")</script>', "utf-8")
+    browser.requests.clear()
+    browser.console.clear()
+    browser.show(own, WIDE)
+    assert asked in browser.requests
+    assert any("said" in text for text in browser.console)
 
 
 @pytest.mark.needs_browser
-def test_letters_that_are_too_small_are_found(browser: Browser, page: Path, tmp_path: Path) -> None:
-    shrunk = tmp_path / "page.html"
-    shrunk.write_text(re.sub(r'style="min-width: \d+px"', "", page.read_text("utf-8")), encoding="utf-8")
-    assert any(fault.startswith("small letters") for fault in faults(browser, shrunk, PHONE))
-
-
-@pytest.mark.needs_browser
-def test_what_is_folded_is_printed(browser: Browser, page: Path) -> None:
+def test_what_is_folded_is_printed_and_opens_by_key(browser: Browser, page: Path) -> None:
     browser.show(page, PAPER)
     browser.call("Emulation.setEmulatedMedia", media="print")
     closed = browser.value("[...document.querySelectorAll('details')].filter((d) => !d.open).length")
@@ -163,24 +182,9 @@ def test_what_is_folded_is_printed(browser: Browser, page: Path) -> None:
     assert closed > 0
     assert hidden == 0
     assert width <= PAPER
-
-
-@pytest.mark.needs_browser
-def test_a_folded_section_opens_by_key(browser: Browser, page: Path) -> None:
     browser.show(page, WIDE)
     browser.value("document.querySelector('summary').focus()")
-    for kind in ("keyDown", "keyUp"):
-        browser.call("Input.dispatchKeyEvent", type=kind, key="Enter", code="Enter", windowsVirtualKeyCode=13,
-                     text="\r" if kind == "keyDown" else "")  # fmt: skip
+    enter = {"key": "Enter", "code": "Enter", "windowsVirtualKeyCode": 13}
+    for kind, text in (("keyDown", "\r"), ("keyUp", "")):
+        browser.call("Input.dispatchKeyEvent", type=kind, text=text, **enter)
     assert browser.value("document.querySelector('details').open") is True
-
-
-@pytest.mark.needs_browser
-def test_a_page_that_asks_the_network_is_found_out(browser: Browser, tmp_path: Path) -> None:
-    page = tmp_path / "page.html"
-    page.write_text('<img src="http://127.0.0.1:9/x.png"><script>console.log("said")</script>', "utf-8")
-    browser.requests.clear()
-    browser.console.clear()
-    browser.show(page, WIDE)
-    assert "http://127.0.0.1:9/x.png" in browser.requests
-    assert any("said" in text for text in browser.console)

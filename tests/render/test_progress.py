@@ -13,6 +13,12 @@ from cpam_bayes.render.terminal import announce, duration, forecasting, progress
 from tests.render.small import Terminal
 
 
+def a_clock(monkeypatch, seconds):
+    """A clock that goes on by so many seconds whenever it is looked at."""
+    looks = itertools.count()
+    monkeypatch.setattr(module.time, "monotonic", lambda: seconds * next(looks))
+
+
 def work(total, quiet=False):
     with progress("identify C1", total, quiet, lambda best: f"rms {best:.1f} Hz") as shown:
         shown.notify("building the plate model")
@@ -36,10 +42,13 @@ def test_items_are_counted_by_their_name_and_all_of_them_are_done(capsys):
     assert capsys.readouterr().err.splitlines() == ["batch: 2 plates", "batch: 1 of 2 plates"]
 
 
-def test_quiet_is_quiet(capsys):
+def test_quiet_is_quiet_and_without_standard_error_the_work_goes_on(monkeypatch, capsys):
     work(20, quiet=True)
     announce("forward C1", quiet=True)
     assert capsys.readouterr() == ("", "")
+    monkeypatch.setattr(sys, "stderr", None)
+    announce("forward C1", quiet=False)
+    work(3)
 
 
 def test_a_terminal_gets_a_bar_that_says_what_is_left_and_goes_away(monkeypatch):
@@ -57,28 +66,6 @@ def test_a_terminal_gets_a_bar_that_says_what_is_left_and_goes_away(monkeypatch)
     work(5)
     assert "iteration 5 of 5, rms 1.7 Hz" in sys.stderr.getvalue()
     assert "\x1b[2K" in sys.stderr.getvalue()  # the line is cleared in the end
-
-
-def test_without_standard_error_the_work_goes_on(monkeypatch):
-    monkeypatch.setattr(sys, "stderr", None)
-    announce("forward C1", quiet=False)
-    work(3)
-
-
-def a_clock(monkeypatch, seconds):
-    """A clock that goes on by so many seconds whenever it is looked at."""
-    looks = itertools.count()
-    monkeypatch.setattr(module.time, "monotonic", lambda: seconds * next(looks))
-
-
-def test_long_work_says_what_is_left(monkeypatch, capsys):
-    a_clock(monkeypatch, 30.0)
-    work(20)
-    lines = capsys.readouterr().err.splitlines()[2:]
-    assert lines[0] == "identify C1: iteration 0 of 20, rms 10.0 Hz"
-    assert lines[1] == "identify C1: iteration 2 of 20, rms 3.3 Hz, at most about 9 min left"
-    assert lines[-2] == "identify C1: iteration 18 of 20, rms 0.5 Hz, at most about 1 min left"
-    assert lines[-1] == "identify C1: iteration 20 of 20, rms 0.5 Hz"
 
 
 def expected(capsys):
@@ -101,6 +88,11 @@ def test_what_takes_above_a_minute_is_said_once_as_soon_as_it_is_known(monkeypat
     # it is known after four iterations
     assert all(lines[i - 1].startswith("identify C1: iteration 2 of 20") for i in told)
     assert ("left" in text) == (seconds > 1.0)
+    if said:
+        assert lines[2] == "identify C1: iteration 0 of 20, rms 10.0 Hz"
+        assert lines[3] == "identify C1: iteration 2 of 20, rms 3.3 Hz, at most about 9 min left"
+        assert lines[-2] == "identify C1: iteration 18 of 20, rms 0.5 Hz, at most about 1 min left"
+        assert lines[-1] == "identify C1: iteration 20 of 20, rms 0.5 Hz"
 
 
 def doubled(shared, item):
@@ -111,7 +103,7 @@ def quadrupled(shared, item):
     return 4 * item
 
 
-def test_items_that_are_shared_out_count_whoever_shares_them_out(monkeypatch, capsys):
+def test_items_that_are_shared_out_and_a_stage_of_items_say_their_time_once(monkeypatch, capsys):
     a_clock(monkeypatch, 20.0)
     with forecasting():
         announce("two by two", False)
@@ -120,10 +112,6 @@ def test_items_that_are_shared_out_count_whoever_shares_them_out(monkeypatch, ca
     assert expected(capsys) == [("two by two", "this part takes about 10 min")]
     run(doubled, None, range(30))
     assert not expected(capsys)
-
-
-def test_a_stage_whose_iterations_are_items_says_its_time_once(monkeypatch, capsys):
-    a_clock(monkeypatch, 20.0)
     with forecasting(), Watch().stage("design", 30, counted="specimens") as shown:
         run(quadrupled, None, range(30), on_result=lambda index, _: shown.tick(index + 1, 0.0))
     assert [said for _, said in expected(capsys)] == ["this part takes about 13 min"]
@@ -150,14 +138,7 @@ def test_a_command_says_what_its_parts_take_unless_it_is_quiet(run, monkeypatch,
 
 @pytest.mark.parametrize(
     ("seconds", "text"),
-    [
-        (11.0, "15 s"),
-        (59.0, "1 min"),
-        (61.0, "2 min"),
-        (3599.0, "1 h"),
-        (3601.0, "1 h 1 min"),
-        (7200.0, "2 h"),
-    ],
+    [(11, "15 s"), (59, "1 min"), (61, "2 min"), (3599, "1 h"), (3601, "1 h 1 min"), (7200, "2 h")],
 )
 def test_durations_are_rounded_up(seconds, text):
     assert duration(seconds) == text

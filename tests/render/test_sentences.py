@@ -1,15 +1,20 @@
-"""What first screens share: constants, fit, and what intervals contain."""
+"""What screens and pages share in words: the plate, constants, fit, and what intervals contain."""
 
 import math
+import re
 from dataclasses import replace
+from datetime import date
 
 import numpy as np
 import pytest
 
+import cpam_bayes as cb
 from cpam_bayes.answer import Constant, Verdict
 from cpam_bayes.forward_model.known_errors import FREQUENCY_SCALE, ScaleError
 from cpam_bayes.parameters import TruncatedNormal, Uniform
 from cpam_bayes.plate import Measurement, builtin
+from cpam_bayes.render.plate import edges_text, plate_head
+from cpam_bayes.render.report import plate_keys
 from cpam_bayes.render.sentences import (
     constant_rows,
     constants_headline,
@@ -20,6 +25,8 @@ from cpam_bayes.render.sentences import (
     gauge_step,
     intervals_sentence,
 )
+from cpam_bayes.render.terminal import plain_text
+from tests.plate_file import described
 
 E1 = Constant("E1", 136.6e9, 2.7e9, (131.4e9, 141.9e9), Uniform(80e9, 200e9), 132e9, Verdict.DATA)
 NU12 = Constant("nu12", 0.197, 0.056, (0.15, 0.307), Uniform(0.15, 0.45), 0.31, Verdict.BOTH)
@@ -100,3 +107,29 @@ def test_intervals_name_what_they_contain_and_the_largest_error_that_they_do_not
     assert "thickness and density are known" in step
     table = errors_table(known, ["E1"])
     assert [row[1] for row in table.rows] == ["-3.0", "-2.0", "+1.0", "-2.0"]
+
+
+@pytest.mark.parametrize(
+    ("edges", "text"),
+    [
+        ("FFFF", "free on all four edges"),
+        ("CFFF", "clamped at x = 0; free at y = 0, x = length and y = width"),
+        ("SCSF", "simply supported at x = 0 and x = length; clamped at y = 0; free at y = width"),
+    ],
+)
+def test_edges_are_said_in_words(edges: str, text: str) -> None:
+    assert edges_text(edges) == text
+
+
+def test_the_head_has_the_slips_of_print_laboratory_operator_date_and_specimen() -> None:
+    text = plain_text(plate_head(builtin("C1"), None))
+    assert "layup     [(0/90)_8]_s, 32 plies" in text
+    assert re.search(r"note +Table 2 prints this layup as", text)
+    given = described((200, 100, 3), 2700, {"isotropic": True, "E1_GPa": 69, "nu12": 0.33})
+    plate = cb.read_plate(
+        {**given, "specimen": "s7", "laboratory": "Hall 3", "operator": "A. Weber", "date": date(2026, 3, 5)}
+    )
+    head = [("specimen", "s7"), ("laboratory", "Hall 3"), ("operator", "A. Weber"), ("date", "2026-03-05")]
+    assert list(plate_head(plate, None).rows[:4]) == head
+    assert plate_keys("forward", 0, plate)["date"] == "2026-03-05"
+    assert "laboratory" not in plate_keys("forward", 0, cb.read_plate(given))
