@@ -13,6 +13,7 @@ import cpam_bayes as cb
 from cpam_bayes import running as limits
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.parallel import run
+from cpam_bayes.questions import sequence
 from cpam_bayes.running import Described, Progress, TimeIsUpError, cut_short, is_time_up, time_limit
 from tests.answers import CHAINS, SWARM, answered
 from tests.plate_file import MEASURED, PLATE, Run
@@ -47,12 +48,19 @@ def test_time_is_up_after_the_limit_and_never_without(looks: None) -> None:
             assert not is_time_up()
         assert is_time_up()
     assert not is_time_up()
+    for seconds in (0.0, -1.0, float("nan")):
+        with pytest.raises(ValueError, match="time limit: received"), time_limit(seconds):
+            pass
 
 
-@pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan")])
-def test_a_limit_is_a_positive_number(seconds: float) -> None:
-    with pytest.raises(ValueError, match="time limit: received"), time_limit(seconds):
-        pass
+def test_what_is_missing_is_noted_once() -> None:
+    cut_short("nobody asked")
+    with time_limit(5.0):
+        cut_short("this", done=1)
+        cut_short("this", done=1)
+        limit = limits.current_limit()
+        assert limit is not None
+        assert limit.missing == [("this", {"done": 1})]
 
 
 @pytest.mark.parametrize("workers", [None, 1])
@@ -84,14 +92,20 @@ def test_an_answer_in_time_is_the_same() -> None:
     assert limited.slips == free.slips
 
 
-def test_a_swarm_ends_early_and_says_so() -> None:
+def test_a_swarm_ends_early_and_the_command_says_it_first_and_exits_with_1(run: Run) -> None:
     with time_limit(AT_ONCE):
         point = cb.identify("A1", seed=0)
-    assert not point.reached_goal
-    assert point.status == "budget"
+    assert (point.reached_goal, point.status) == (False, "budget")
     assert point.slips[0] == point.warnings[0]
     assert left_out(point) == {"cut_swarm": {"done": 0, "of": 400}, "cut_swarms": {"done": 1, "of": 3}}
     assert set(point.constants) == {"E1", "nu12"}
+    status, out, err = run("identify", "A1", "--quiet", "--time-limit", "1e-9")
+    assert status == 1
+    assert "The time limit of 1e-09 s ended the work early" in out.splitlines()[1]
+    assert "warning: The time limit of 1e-09 s" in err
+    status, out, err = run("sensitivity", "A1", "--quiet", "--executor", "serial", "--time-limit", "1e-9")
+    assert (status, out) == (1, "")
+    assert err.startswith("error: the time limit of 1e-09 s was reached before there was an answer")
 
 
 def test_emcee_ends_after_a_round_and_goes_on_from_the_store(tmp_path: Any) -> None:
@@ -106,16 +120,15 @@ def test_a_diagnosis_names_what_it_did_not_test() -> None:
     with time_limit(AT_ONCE):
         answer = cb.diagnose("A1")
     assert not answer.reached_goal
-    not_tested = answer.diagnosis.weighed.not_tested
+    not_tested, missing = answer.diagnosis.weighed.not_tested, left_out(answer)
     assert not_tested
     assert all("time was up" in text for text in not_tested)
-    missing = left_out(answer)
-    assert missing["cut_hypotheses"]["count"] == len(not_tested)
     assert "cut_gain" in missing
+    assert missing["cut_hypotheses"]["count"] == len(not_tested)
+    assert "thickness" in missing["cut_hypotheses"]["causes"]
     tested = {t.hypothesis.cause for t in answer.diagnosis.weighed.tested}
     assert {"none", "other"} <= tested
     assert "thickness" not in tested
-    assert "thickness" in missing["cut_hypotheses"]["causes"]
 
 
 def test_nothing_is_claimed_of_a_part_of_the_causes(run: Run, tmp_path: Path) -> None:
@@ -134,7 +147,7 @@ def test_nothing_is_claimed_of_a_part_of_the_causes(run: Run, tmp_path: Path) ->
         assert (answer.claim, answer.reached_goal) == ("undecided", False)
 
 
-class Counting:
+class Told:
     """A watch that counts what it is told."""
 
     def __init__(self) -> None:
@@ -154,7 +167,7 @@ class Counting:
 def test_a_noise_study_has_the_groups_that_were_inverted(done: int, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: dict[str, Any] = {"levels": [0.01, 0.05], "groups": 4, "readings": ["rms"]}
     asked |= {"settings": SWARM, "chains": CHAINS}
-    whole, watch = cb.sensitivity("A1", **asked), Counting()
+    whole, watch = cb.sensitivity("A1", **asked), Told()
     up = 2 * (done + 1) + (done < 4)
     monkeypatch.setattr("cpam_bayes.parallel.sharing.is_time_up", lambda: len(watch.told) >= up)
     with time_limit(3600.0):
@@ -184,11 +197,9 @@ def test_sequences_that_are_not_weighed_yet_have_no_probability() -> None:
 def test_constants_of_the_first_sequence_are_sampled_when_time_is_up(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from cpam_bayes.questions import sequence as module
-
     plate = listed("[?/?]_s", STEP, TRUE, 0.02)
     whole = cb.sequence(plate, seed=0)
-    sample_mixture = module.sample_mixture
+    sample_mixture = sequence.sample_mixture
 
     def late(*args: Any, **kwargs: Any) -> Any:
         with time_limit(AT_ONCE):
@@ -197,7 +208,7 @@ def test_constants_of_the_first_sequence_are_sampled_when_time_is_up(
             return mixture
 
     missing: list[Any] = []
-    monkeypatch.setattr(module, "sample_mixture", late)
+    monkeypatch.setattr(sequence, "sample_mixture", late)
     cut = cb.sequence(plate, seed=0)
     n = len(whole.mixture.components)
     assert n > 1
@@ -206,23 +217,3 @@ def test_constants_of_the_first_sequence_are_sampled_when_time_is_up(
     assert cut.answer.probability.tolist() == whole.answer.probability.tolist()
     first, same = whole.mixture.components[0], cut.mixture.components[0]
     assert first.draws.tolist() == same.draws.tolist()
-
-
-def test_the_command_says_it_first_and_exits_with_1(run: Run) -> None:
-    status, out, err = run("identify", "A1", "--quiet", "--time-limit", "1e-9")
-    assert status == 1
-    assert "The time limit of 1e-09 s ended the work early" in out.splitlines()[1]
-    assert "warning: The time limit of 1e-09 s" in err
-    status, out, err = run("sensitivity", "A1", "--quiet", "--executor", "serial", "--time-limit", "1e-9")
-    assert (status, out) == (1, "")
-    assert err.startswith("error: the time limit of 1e-09 s was reached before there was an answer")
-
-
-def test_what_is_missing_is_noted_once() -> None:
-    cut_short("nobody asked")
-    with time_limit(5.0):
-        cut_short("this", done=1)
-        cut_short("this", done=1)
-        limit = limits.current_limit()
-        assert limit is not None
-        assert limit.missing == [("this", {"done": 1})]

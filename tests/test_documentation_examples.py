@@ -1,38 +1,26 @@
-"""The examples of the documentation run, and print and give what stands beside them."""
+"""The examples of the documentation run, and print and give what stands beside them; notebooks too."""
 
 import re
 from pathlib import Path
 
 import matplotlib
+import nbformat
 import pytest
 
 from cpam_bayes.cli import COMMANDS, _asked
 from docs.build.examples import ExampleError, check, run_block, shortened
+from tests.test_studies import script
 
 PROJECT = Path(__file__).parent.parent
 PAGES = sorted([*PROJECT.glob("docs/*.md"), PROJECT / "README.md"])
 # Pages whose examples take more than some seconds, and one that runs CalculiX.
-_SLOW = [pytest.mark.slow]
-MARKS = dict.fromkeys(
-    (
-        "README.md",
-        "cluster.md",
-        "effects.md",
-        "laboratory.md",
-        "library.md",
-        "many_plates.md",
-        "mode_shapes.md",
-        "other_plates.md",
-        "priors.md",
-        "repeats.md",
-        "sensors.md",
-        "hybrids.md",
-        "sensitivity.md",
-        "several_plates.md",
-        "tutorial.md",
-    ),
-    _SLOW,
-) | {"calculix_abaqus.md": [pytest.mark.needs_ccx, pytest.mark.slow]}
+SLOW = {
+    *("README.md", "cluster.md", "effects.md", "laboratory.md", "library.md", "many_plates.md"),
+    *("mode_shapes.md", "other_plates.md", "priors.md", "repeats.md", "sensors.md", "hybrids.md"),
+    *("sensitivity.md", "several_plates.md", "tutorial.md"),
+}
+MARKS = {name: [pytest.mark.slow] for name in SLOW}
+MARKS |= {"calculix_abaqus.md": [pytest.mark.needs_ccx, pytest.mark.slow]}
 WITH_EXAMPLES = [
     pytest.param(page, marks=MARKS.get(page.name, []), id=page.stem)
     for page in PAGES
@@ -47,12 +35,6 @@ def test_the_examples_of_a_page_run_and_print_what_it_says(
     """``python docs/build/examples.py PAGE`` writes the outputs anew."""
     monkeypatch.setattr(matplotlib, "rcParams", matplotlib.rcParams.copy())
     assert check(page, tmp_path) > 0
-
-
-def test_a_value_that_is_not_the_documented_one_fails() -> None:
-    run_block("1 + 1  # -> 2\n", {})
-    with pytest.raises(ExampleError, match=r"1 \+ 1"):
-        run_block("1 + 1  # -> 3\n", {})
 
 
 CONSOLE = """\
@@ -99,7 +81,10 @@ def test_an_output_that_is_not_the_documented_one_fails(
             check(page, directory)
 
 
-def test_a_command_that_fails_fails_its_page(tmp_path: Path) -> None:
+def test_a_value_that_is_not_the_documented_one_and_a_command_that_fails_fail(tmp_path: Path) -> None:
+    run_block("1 + 1  # -> 2\n", {})
+    with pytest.raises(ExampleError, match=r"1 \+ 1"):
+        run_block("1 + 1  # -> 3\n", {})
     page = tmp_path / "page.md"
     page.write_text("```console\n$ exit 1\n```\n", encoding="utf-8")
     with pytest.raises(ExampleError, match="exit status 1"):
@@ -113,17 +98,13 @@ def test_a_screen_is_shortened_to_its_named_parts() -> None:
         shortened(screen, ["Causes"])
 
 
-@pytest.mark.parametrize(
-    ("page", "title"), [("README.md", "examples/panel.toml"), ("docs/tutorial.md", "panel.toml")]
-)
-def test_the_plate_of_the_first_pages_is_the_one_in_the_examples(page: str, title: str) -> None:
-    _, _, block = (PROJECT / page).read_text("utf-8").partition(f'```toml title="{title}"\n')
-    assert block.partition("```")[0] == (PROJECT / "examples" / "panel.toml").read_text("utf-8")
-
-
-def test_the_picture_of_the_first_pages_has_the_numbers_of_the_tutorial() -> None:
-    picture = (PROJECT / "docs" / "pictures" / "from_foam_to_report.svg").read_text("utf-8")
+def test_the_plate_and_the_picture_of_the_first_pages_are_those_of_the_tutorial() -> None:
     tutorial = (PROJECT / "docs" / "tutorial.md").read_text("utf-8")
+    panel = (PROJECT / "examples" / "panel.toml").read_text("utf-8")
+    assert f'```toml title="panel.toml"\n{panel}```' in tutorial
+    readme = (PROJECT / "README.md").read_text("utf-8")
+    assert f'```toml title="examples/panel.toml"\n{panel}```' in readme
+    picture = (PROJECT / "docs" / "pictures" / "from_foam_to_report.svg").read_text("utf-8")
     _, _, posterior = tutorial.partition("--out posterior\n")
     rows = re.findall(r"^  (?:E1|E2|nu12|G12) .*?[\d.]+ to [\d.]+", posterior, re.MULTILINE)[:4]
     assert intervals(picture) == intervals("\n".join(rows))
@@ -149,11 +130,8 @@ def test_every_command_and_option_of_the_documentation_exists() -> None:
             assert not unknown, f"{page.name}: cpam-bayes {name}{rest}"
             found += 1
     assert found > len(COMMANDS)
-
-
-def test_the_page_of_the_commands_lists_all() -> None:
-    text = (PROJECT / "docs" / "commands.md").read_text("utf-8")
-    assert set(COMMANDS) <= set(re.findall(r"^\| `cpam-bayes ([a-z]+)", text, re.MULTILINE))
+    listed = (PROJECT / "docs" / "commands.md").read_text("utf-8")
+    assert set(COMMANDS) <= set(re.findall(r"^\| `cpam-bayes ([a-z]+)", listed, re.MULTILINE))
 
 
 def option_names(command: str) -> set[str]:
@@ -162,3 +140,29 @@ def option_names(command: str) -> set[str]:
     (commands,) = (action for action in parser._actions if action.dest == "command")
     assert commands.choices is not None
     return {name for action in commands.choices[command]._actions for name in action.option_strings}
+
+
+NOTEBOOKS = sorted((PROJECT / "notebooks").glob("*.ipynb"))
+
+
+def code_cells(notebook: nbformat.NotebookNode) -> list[nbformat.NotebookNode]:
+    return [cell for cell in notebook.cells if cell.cell_type == "code"]
+
+
+def test_three_notebooks_are_saved_with_results_figures_and_no_errors() -> None:
+    assert len(NOTEBOOKS) == 3
+    for path in NOTEBOOKS:
+        outputs = [out for cell in code_cells(nbformat.read(path, as_version=4)) for out in cell.outputs]
+        assert any("image/png" in out.get("data", {}) for out in outputs)
+        assert any("text/html" in out.get("data", {}) for out in outputs)
+        assert all(out.output_type != "error" for out in outputs)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs_and_shows_what_it_is_saved_with(path: Path) -> None:
+    saved, executed = (
+        [(cell.source, [out.output_type for out in cell.outputs]) for cell in code_cells(notebook)]
+        for notebook in (nbformat.read(path, as_version=4), script("notebooks", "execute").executed(path))
+    )
+    assert executed == saved

@@ -140,37 +140,29 @@ def test_what_is_not_legible_is_found() -> None:
     ]
 
 
-@pytest.mark.parametrize("name", draw.NAMES)
-def test_a_caption_names_the_seeds_of_its_study(name: str) -> None:
-    drawing = draw.drawing(name)
-    study = (PROJECT / "studies" / f"{drawing.study}.py").read_text(encoding="utf-8")
-    if stated := re.search(r"^SEED = (\d+)", study, re.MULTILINE):
-        assert drawing.seeds == f"seed {stated[1]}"
-    if stated := re.search(r"^SEEDS = (\d+)", study, re.MULTILINE):
-        assert drawing.seeds == f"seeds 0 to {int(stated[1]) - 1}"
+def test_captions_name_the_seeds_of_their_studies() -> None:
+    for drawing in map(draw.drawing, draw.NAMES):
+        study = (PROJECT / "studies" / f"{drawing.study}.py").read_text(encoding="utf-8")
+        if stated := re.search(r"^SEED = (\d+)", study, re.MULTILINE):
+            assert drawing.seeds == f"seed {stated[1]}"
+        if stated := re.search(r"^SEEDS = (\d+)", study, re.MULTILINE):
+            assert drawing.seeds == f"seeds 0 to {int(stated[1]) - 1}"
 
 
-def test_one_command_draws_what_it_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("main", [draw.main, draw.drawing(QUICKLY_DRAWN).main])
+def test_one_command_draws_what_it_is_asked_for(main, tmp_path, monkeypatch, capsys) -> None:
     draw.main([QUICKLY_DRAWN, "--out", str(tmp_path / "new"), "--format", "svg"])
     written = [f"{QUICKLY_DRAWN}.md", f"{QUICKLY_DRAWN}.svg"]
     assert sorted(path.name for path in (tmp_path / "new").iterdir()) == written
     assert capsys.readouterr().out == f"{tmp_path / 'new' / written[1]}\n"
-
-
-@pytest.mark.parametrize("main", [draw.main, draw.drawing(QUICKLY_DRAWN).main])
-def test_help_draws_nothing(main, tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.setattr(journal.Drawing, "__call__", None)
-    with pytest.raises(SystemExit) as stop:
-        main(["--help"])
-    assert stop.value.code == 0
-    assert "--out DIR" in capsys.readouterr().out
-
-
-def test_a_figure_that_is_not_there_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        draw.main(["99_nothing"])
-    assert stop.value.code == 2
-    assert "no figure is named 99_nothing" in capsys.readouterr().err
+    for run, word, status in ((main, "--help", 0), (draw.main, "99_nothing", 2)):
+        with pytest.raises(SystemExit) as stop:
+            run([word])
+        assert stop.value.code == status
+    shown = capsys.readouterr()
+    assert "--out DIR" in shown.out
+    assert "no figure is named 99_nothing" in shown.err
 
 
 def test_each_figure_is_listed_and_nothing_else_is_kept() -> None:

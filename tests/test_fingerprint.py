@@ -10,17 +10,18 @@ from cpam_bayes import fingerprint as module
 from cpam_bayes.fingerprint import fingerprint, fingerprint_of_script, sources_of
 
 
-def names(of: str) -> set[str]:
-    package = Path(module.__file__).parent
-    return {file.relative_to(package).as_posix() for file in sources_of([of], [])}
-
-
 def test_the_sources_of_a_result_are_those_it_imports_at_any_depth() -> None:
-    found = names("cpam_bayes.forward_model.build")
+    package = Path(module.__file__).parent
+    found, asked = (
+        {file.relative_to(package).as_posix() for file in sources_of([f"cpam_bayes.{name}"], [])}
+        for name in ("forward_model.build", "questions.forward")
+    )
     assert {"forward_model/build.py", "mechanics/affine.py", "plate/laminate.py"} <= found
     assert "diagnosis/models.py" not in found
     # how an answer looks is no part of it
-    assert not any(n.startswith(("render/", "cli", "command")) for n in names("cpam_bayes.questions.forward"))
+    assert not any(name.startswith(("render/", "cli", "command")) for name in asked)
+    result = cb.plates()
+    assert result.to_dict()["fingerprint"] == fingerprint(type(result).__module__)
 
 
 def test_another_source_is_another_fingerprint(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -44,6 +45,10 @@ def test_another_source_is_another_fingerprint(monkeypatch: pytest.MonkeyPatch, 
 
 
 def test_nothing_but_words_is_left_out_of_the_sources_of_the_package() -> None:
+    def code(source: str, said: set[int]) -> list[str]:
+        lines = [line for number, line in enumerate(source.splitlines(), 1) if number not in said]
+        return [line for line in lines if line.strip() and not line.strip().startswith("#")]
+
     for file in Path(module.__file__).parent.rglob("*.py"):
         source = file.read_text(encoding="utf-8")
         said: set[int] = set()
@@ -51,34 +56,21 @@ def test_nothing_but_words_is_left_out_of_the_sources_of_the_package() -> None:
             if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
                 lines = range(node.lineno, (node.end_lineno or node.lineno) + 1)
                 said.update(lines if isinstance(node.value.value, str) else ())
-        code = [line for number, line in enumerate(source.splitlines(), 1) if number not in said]
-        left = module.without_words(source).splitlines()
-        assert [line for line in left if _is_code(line)] == [line for line in code if _is_code(line)], file
+        assert code(module.without_words(source), set()) == code(source, said), file
 
 
-def _is_code(line: str) -> bool:
-    return bool(line.strip()) and not line.strip().startswith("#")
-
-
-def test_a_script_has_the_fingerprint_of_what_it_uses(tmp_path: Path) -> None:
-    script = tmp_path / "study.py"
-    script.write_text("from cpam_bayes.formatting import fixed\n")
-    first = fingerprint_of_script(script, cb._PUBLIC)
-    script.write_text("from cpam_bayes.formatting import fixed  # a remark\n")
-    assert fingerprint_of_script(script, cb._PUBLIC) == first
-    script.write_text("from cpam_bayes.plate.records import Plate\n")
-    assert fingerprint_of_script(script, cb._PUBLIC) != first
-
-
-def test_a_script_that_calls_public_names_depends_on_what_answers_them(tmp_path: Path) -> None:
-    found = {}
-    for name in ("plates", "forward"):
-        script = tmp_path / f"{name}.py"
-        script.write_text(f"import cpam_bayes as cb\ncb.{name}()\n")
-        found[name] = fingerprint_of_script(script, cb._PUBLIC)
-    assert len(set(found.values())) == 2
-
-
-def test_every_document_holds_the_fingerprint_of_its_question() -> None:
-    result = cb.plates()
-    assert result.to_dict()["fingerprint"] == fingerprint(type(result).__module__)
+def test_a_script_has_the_fingerprint_of_what_it_uses_and_what_answers_public_names(
+    tmp_path: Path,
+) -> None:
+    script, found = tmp_path / "study.py", []
+    for text in (
+        "from cpam_bayes.formatting import fixed\n",
+        "from cpam_bayes.formatting import fixed  # a remark\n",
+        "from cpam_bayes.plate.records import Plate\n",
+        "import cpam_bayes as cb\ncb.plates()\n",
+        "import cpam_bayes as cb\ncb.forward()\n",
+    ):
+        script.write_text(text)
+        found.append(fingerprint_of_script(script, cb._PUBLIC))
+    assert found[0] == found[1]
+    assert len(set(found)) == 4

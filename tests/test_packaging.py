@@ -24,8 +24,8 @@ def text_of(name: str) -> str:
     return (PROJECT / name).read_text("utf-8")
 
 
-def recipe() -> Any:
-    return yaml.safe_load(text_of("conda/recipe.yaml"))
+def yaml_of(name: str) -> Any:
+    return yaml.safe_load(text_of(name))
 
 
 def names_and_bounds(requirements: Iterable[str]) -> dict[str, str]:
@@ -34,8 +34,13 @@ def names_and_bounds(requirements: Iterable[str]) -> dict[str, str]:
     return {part[1].casefold(): part[2].strip() for part in parts if part}
 
 
-def test_licence_and_authors_are_those_of_the_citation_and_of_the_licence_file() -> None:
-    project, citation = PYPROJECT["project"], yaml.safe_load(text_of("CITATION.cff"))
+def test_version_licence_and_authors_are_the_same_everywhere() -> None:
+    project, citation = PYPROJECT["project"], yaml_of("CITATION.cff")
+    version = project["version"]
+    assert cpam_bayes.__version__ == str(citation["version"]) == version
+    assert yaml_of("conda/recipe.yaml")["context"]["version"] == version
+    assert f"\nVersion {version}. " in text_of("README.md")
+    assert re.findall(r"^## \[([\d.]+)\]", text_of("CHANGELOG.md"), re.MULTILINE)[0] == version
     assert citation["license"] == project["license"] == "BSD-3-Clause"
     assert [author["name"] for author in citation["authors"]] == [a["name"] for a in project["authors"]]
     first, *_ = licence = text_of(project["license-files"][0]).splitlines()
@@ -45,50 +50,37 @@ def test_licence_and_authors_are_those_of_the_citation_and_of_the_licence_file()
     assert any(project["authors"][0]["name"].removeprefix("The ") in line for line in licence)
 
 
-def test_the_version_is_the_same_everywhere() -> None:
-    version = PYPROJECT["project"]["version"]
-    assert cpam_bayes.__version__ == version
-    assert str(yaml.safe_load(text_of("CITATION.cff"))["version"]) == version
-    assert recipe()["context"]["version"] == version
-    assert f"\nVersion {version}. " in text_of("README.md")
-    assert re.findall(r"^## \[([\d.]+)\]", text_of("CHANGELOG.md"), re.MULTILINE)[0] == version
-
-
 def test_the_recipe_of_conda_has_the_dependencies_of_the_package() -> None:
     ours = names_and_bounds(line for line in PYPROJECT["project"]["dependencies"] if ";" not in line)
-    run = names_and_bounds(recipe()["requirements"]["run"])
+    run, host = (names_and_bounds(yaml_of("conda/recipe.yaml")["requirements"][of]) for of in ("run", "host"))
     assert run.pop("python") == PYPROJECT["project"]["requires-python"]
     assert {name: run.pop(name) for name in CONDA_EXTRAS} == dict.fromkeys(CONDA_EXTRAS, "")
     assert run == {CONDA_NAMES.get(name, name): bounds for name, bounds in ours.items()}
-    host = names_and_bounds(recipe()["requirements"]["host"])
     assert host["hatchling"] == names_and_bounds(PYPROJECT["build-system"]["requires"])["hatchling"]
 
 
-def extra(name: str) -> set[str]:
-    """The libraries of an extra, those of the extras of this package in it included."""
+def libraries(name: str, of: Any) -> set[str]:
+    """The libraries of an extra or a dependency group, those of others in it included."""
     found: set[str] = set()
-    for line in PYPROJECT["project"]["optional-dependencies"][name]:
-        own = re.fullmatch(r"cpam-bayes\[([\w,]+)\]", line)
-        found |= set().union(*map(extra, own[1].split(","))) if own else {line}
+    for line in of[name]:
+        own = re.fullmatch(r"cpam-bayes\[([\w,]+)\]", str(line))
+        others = own[1].split(",") if own else [] if isinstance(line, str) else [line["include-group"]]
+        found |= set().union(*(libraries(other, of) for other in others)) if others else {line}
     return found
 
 
-def group(name: str) -> set[str]:
-    """The libraries of a dependency group, those of groups in it included."""
-    found: set[str] = set()
-    for line in PYPROJECT["dependency-groups"][name]:
-        found |= {line} if isinstance(line, str) else group(line["include-group"])
-    return found
-
-
-@pytest.mark.parametrize(("named", "as_extra"), [("lint", "dev"), ("docs", "docs"), ("test", "test")])
-def test_a_dependency_group_is_its_extra(named: str, as_extra: str) -> None:
-    assert group(named) == extra(as_extra)
+def test_a_dependency_group_is_its_extra_and_the_hook_of_ruff_is_of_its_series() -> None:
+    groups, extras = PYPROJECT["dependency-groups"], PYPROJECT["project"]["optional-dependencies"]
+    for group, extra in (("lint", "dev"), ("docs", "docs"), ("test", "test")):
+        assert libraries(group, groups) == libraries(extra, extras)
+    hook = next(r for r in yaml_of(".pre-commit-config.yaml")["repos"] if "ruff" in r["repo"])
+    stated = next(line for line in extras["dev"] if line.startswith("ruff"))
+    assert hook["rev"].startswith("v" + stated.partition(">=")[2].partition(",")[0] + ".")
 
 
 def test_each_classified_python_is_tested() -> None:
     stated = {c.rpartition(" ")[2] for c in PYPROJECT["project"]["classifiers"] if "Python :: 3." in c}
-    jobs = yaml.safe_load(text_of(".github/workflows/tests.yml"))["jobs"]
+    jobs = yaml_of(".github/workflows/tests.yml")["jobs"]
     for job in ("fast", "weekly"):
         tested = jobs[job]["strategy"]["matrix"]
         assert stated <= set(tested["python"])
@@ -112,22 +104,15 @@ def test_a_workflow_reads_no_more_than_it_must_and_pins_its_actions(path: Path) 
     assert {name for names in asked for name in names.split()} <= sessions
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        ".github/dependabot.yml",
-        ".pre-commit-config.yaml",
-        *(f".github/ISSUE_TEMPLATE/{name}.yml" for name in ("config", "question", "wish", "wrong_answer")),
-    ],
-)
-def test_a_file_of_settings_can_be_read(name: str) -> None:
-    assert yaml.safe_load(text_of(name))
-
-
-def test_the_hook_of_ruff_is_of_the_series_that_ci_has() -> None:
-    hook = next(r for r in yaml.safe_load(text_of(".pre-commit-config.yaml"))["repos"] if "ruff" in r["repo"])
-    stated = next(line for line in extra("dev") if line.startswith("ruff"))
-    assert hook["rev"].startswith("v" + stated.partition(">=")[2].partition(",")[0] + ".")
+def test_files_of_settings_can_be_read_and_what_the_source_distribution_takes_is_there() -> None:
+    files = [PROJECT / ".github" / "dependabot.yml", *PROJECT.glob(".github/ISSUE_TEMPLATE/*.yml")]
+    assert len(files) == 5
+    assert all(yaml.safe_load(file.read_text("utf-8")) for file in files)
+    included = PYPROJECT["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
+    assert [name for name in included if not (PROJECT / name.lstrip("/")).exists()] == []
+    lines = text_of("Containerfile").splitlines()
+    assert 'ENTRYPOINT ["cpam-bayes"]' in lines
+    assert [line for line in lines if line.startswith("USER")] == ["USER tester"]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -137,19 +122,8 @@ def test_a_link_of_a_page_leads_to_a_file(page: Path) -> None:
     assert [t for t in targets if "://" not in t and not (page.parent / t).exists()] == []
 
 
-def test_what_the_source_distribution_takes_is_there() -> None:
-    included = PYPROJECT["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
-    assert [name for name in included if not (PROJECT / name.lstrip("/")).exists()] == []
-
-
 def test_the_article_is_short_and_has_all_its_references() -> None:
     article, entries = text_of("paper/paper.md"), text_of("paper/paper.bib")
     cited = set(re.findall(r"@(\w+)", article))
     assert cited == set(re.findall(r"^@\w+\{(\w+),", entries, re.MULTILINE))
     assert len(article.split()) <= 900
-
-
-def test_the_container_runs_the_command_as_a_user_of_its_own() -> None:
-    lines = text_of("Containerfile").splitlines()
-    assert 'ENTRYPOINT ["cpam-bayes"]' in lines
-    assert [line for line in lines if line.startswith("USER")] == ["USER tester"]

@@ -55,13 +55,9 @@ def test_a_page_says_what_the_saved_results_say(name: str) -> None:
     assert script("studies", "write_pages").written(PAGES[name], STUDIES) == PAGES[name].read_text("utf-8")
 
 
-def test_the_documentation_has_at_most_30_000_words() -> None:
+def test_the_documentation_is_short_and_says_in_six_lines_how_wrong_an_answer_can_be() -> None:
     words = {name: len(path.read_text("utf-8").split()) for name, path in PAGES.items()}
-    longest_first = sorted(words.items(), key=lambda page: -page[1])
-    assert sum(words.values()) <= 30_000, longest_first
-
-
-def test_the_readme_says_in_six_lines_how_wrong_an_answer_can_be() -> None:
+    assert sum(words.values()) <= 30_000, sorted(words.items(), key=lambda page: -page[1])
     section = (PROJECT / "README.md").read_text("utf-8").split("## How wrong it can be")[1].split("\n## ")[0]
     text = with_sections(section, AGE, {"studies": ""})
     assert len([line for line in text.splitlines() if line.strip() and not line.startswith("<!--")]) <= 6
@@ -78,25 +74,25 @@ def test_the_page_of_priors_has_the_tolerances_that_hold_where_a_file_states_non
     assert said == pytest.approx(used)
 
 
-def test_every_source_of_a_section_is_a_study_a_figure_or_a_benchmark() -> None:
-    sources = {source for path in PAGES.values() for source, _ in marks(path.read_text(encoding="utf-8"))}
-    # benchmarks/waits.py writes the tables of docs/speed.md
-    assert sources <= {FIGURE, AGE, "waits", *STUDIES}
-
-
-def test_a_study_that_writes_sections_has_its_place_in_a_page() -> None:
+def test_sources_of_sections_are_studies_figures_or_benchmarks_and_none_lacks_its_place() -> None:
     asked = {mark for path in PAGES.values() for mark in marks(path.read_text(encoding="utf-8"))}
+    # benchmarks/waits.py writes the tables of docs/speed.md
+    assert {source for source, _ in asked} <= {FIGURE, AGE, "waits", *STUDIES}
     for study in STUDIES:
         written = {name for name in sections(study) if (study, name) in asked}
         assert bool(written) == bool(sections(study)), study
 
 
-def test_figures_stand_in_pages_with_their_captions_alone() -> None:
+def test_figures_stand_in_pages_with_their_captions_alone_and_each_is_of_a_study() -> None:
     for path in PAGES.values():
         none = dict.fromkeys(sections_of_figures(PROJECT, path), "")
         text = with_sections(path.read_text(encoding="utf-8"), FIGURE, none)
         by_hand = [line for line in text.splitlines() if line.startswith("![") and "figures/" in line]
         assert by_hand == [] or path.name == "README.md"
+    for path in captions(PROJECT):
+        assert len(of_figure(path) & set(STUDIES)) == 1, path.name
+    assert studies_of("<!-- figure: picture mode_shapes_C1 -->\n<!-- /figure -->\n") == {"02_agreement"}
+    assert studies_of("<!-- figure: all of 15_claims -->\n<!-- /figure -->\n") == {"15_claims"}
 
 
 @pytest.mark.parametrize(
@@ -109,28 +105,18 @@ def test_a_section_follows_whatever_the_results_hold(study: str, key: str, name:
     assert script("studies", study).sections(fewer)[name] != sections(study)[name]
 
 
-def test_a_section_is_written_between_its_marks_alone() -> None:
+def test_a_section_is_written_between_its_marks_alone_in_all_pages(tmp_path: Path) -> None:
     written = with_sections(PAGE, "01_study", {"part": "new"})
     assert written == PAGE.replace("\nold\n", "\n\nnew\n\n")
-    assert with_sections(written, "01_study", {"part": "new"}) == written
     assert with_sections(PAGE, "02_another", {}) == PAGE
     with pytest.raises(ValueError, match="no section of 01_study is named 'part'; there are whole"):
         with_sections(PAGE, "01_study", {"whole": ""})
-
-
-@pytest.mark.parametrize(
-    "lone", ["<!-- 01_study: part -->\n", "<!-- /01_study -->\n", "<!-- figure: x -->\n"]
-)
-def test_a_mark_without_its_pair_is_refused(lone: str) -> None:
-    with pytest.raises(ValueError, match="without their pair"):
-        marks("Typed.\n\n" + lone)
-
-
-def test_a_study_writes_its_sections_into_all_pages(tmp_path: Path) -> None:
+    for lone in ("01_study: part", "/01_study", "figure: x"):
+        with pytest.raises(ValueError, match="without their pair"):
+            marks(f"Typed.\n\n<!-- {lone} -->\n")
     (tmp_path / "docs").mkdir()
-    for name in ("README.md", "docs/one.md"):
-        (tmp_path / name).write_text(PAGE, encoding="utf-8")
-    (tmp_path / "docs" / "two.md").write_text("Typed.\n", encoding="utf-8")
+    for name, page in (("README.md", PAGE), ("docs/one.md", PAGE), ("docs/two.md", "Typed.\n")):
+        (tmp_path / name).write_text(page, encoding="utf-8")
     changed = write_sections(tmp_path, "01_study", {"part": "new"})
     assert changed == [tmp_path / "README.md", tmp_path / "docs" / "one.md"]
     assert write_sections(tmp_path, "01_study", {"part": "new"}) == []
@@ -147,12 +133,9 @@ def test_a_figure_is_linked_from_where_its_page_lies(tmp_path: Path) -> None:
     assert figure_section(caption, tmp_path / "README.md", titled=True) == titled
 
 
-def test_numbers_of_things_are_short() -> None:
+def test_values_are_written_as_in_print() -> None:
     numbers = (1296, 46656, 1679616, 60466176, 2.18e9)
     assert [*map(counted, numbers)] == ["1296", "46 656", "1.7 million", "60 million", "2.2 billion"]
-
-
-def test_values_are_written_as_in_print() -> None:
     assert with_error(0.9702, 0.0118) == "0.970(12)"
     assert with_error(-27.678, 1e-6) == "-27.678"
     assert [in_digits(v) for v in (2.35e-5, 0.0014, 1.08e4, 41.0)] == ["2.3e-5", "0.0014", "1.1e4", "41"]
@@ -184,36 +167,23 @@ def test_a_page_that_shows_results_of_studies_says_where_they_are_of_other_code(
         assert ("Older than the code: " in text) == bool(outdated(text)), name
 
 
-def test_every_figure_of_a_page_is_of_a_study() -> None:
-    for path in captions(PROJECT):
-        assert len(of_figure(path) & set(STUDIES)) == 1, path.name
-    assert studies_of("<!-- figure: picture mode_shapes_C1 -->\n<!-- /figure -->\n") == {"02_agreement"}
-    assert studies_of("<!-- figure: all of 15_claims -->\n<!-- /figure -->\n") == {"15_claims"}
-
-
-def test_results_of_other_sources_are_named_until_the_study_is_run_again(ledger: Path) -> None:
+def test_results_and_figures_of_other_sources_are_named_until_their_study_is_run_again(ledger: Path) -> None:
     assert outdated(SECTION) == [STUDY]
     save_results(ledger.with_name(f"{STUDY}.json"), {"cases": []})
-    assert json.loads(ledger.read_text()) == {STUDY: fingerprint_of_study(STUDY)}
+    today = {STUDY: fingerprint_of_study(STUDY)}
+    assert json.loads(ledger.read_text()) == today
     assert outdated(SECTION) == []
     assert with_age(SECTION) == SECTION
     ledger.write_text(json.dumps({STUDY: OTHER}))
     assert outdated(SECTION) == [STUDY]
-    said = f"Older than the code: results of `{STUDY}`."
-    assert said in with_age(SECTION)
-    ledger.write_text(json.dumps({STUDY: fingerprint_of_study(STUDY)}))
-    assert with_age(with_age(SECTION)) == SECTION
-
-
-def test_a_figure_of_other_sources_is_named_too(ledger: Path) -> None:
-    both = SECTION + "\n<!-- figure: picture 20_swarms -->\n<!-- /figure -->\n"
-    ledger.write_text(json.dumps({STUDY: fingerprint_of_study(STUDY)}))
-    assert outdated(both) == ["20_swarms"]
-    ledger.write_text("{}")
+    assert f"Older than the code: results of `{STUDY}`." in with_age(SECTION)
+    figure = "\n<!-- figure: picture {} -->\n<!-- /figure -->\n"
+    both = SECTION + figure.format("20_swarms")
     assert "code: all results here." in with_age(both)
-    more = both.replace("20_swarms", "27_coins") + both.removeprefix(SECTION)
-    more += both.removeprefix(SECTION).replace("20_swarms", "05_calibration")
-    ledger.write_text(json.dumps({STUDY: fingerprint_of_study(STUDY)}))
+    ledger.write_text(json.dumps(today))
+    assert with_age(with_age(SECTION)) == SECTION
+    assert outdated(both) == ["20_swarms"]
+    more = SECTION + "".join(map(figure.format, ("27_coins", "20_swarms", "05_calibration")))
     assert f"code: all results here but those of `{STUDY}`." in " ".join(with_age(more).split())
 
 
@@ -237,13 +207,20 @@ def test_a_study_is_of_todays_code_when_all_its_cases_are(ledger: Path, recorded
     assert saved_results(path)["cases"] == [{"case": k, "x": 2, "fingerprint": today} for k in (0, 1)]
 
 
-def test_cases_that_are_saved_one_by_one_keep_the_fingerprint_that_they_were_computed_with(
+def test_cases_keep_the_fingerprint_that_they_were_computed_with_or_are_of_unknown_code(
     ledger: Path,
 ) -> None:
     path = saved_before(ledger, OTHER)
     found = case_by_case(range(3), lambda n: {"case": n, "x": 2}, lambda cases: {"cases": cases}, path=path)
     assert [c["fingerprint"] for c in found["cases"]] == [OTHER, OTHER, fingerprint_of_study(STUDY)]
     assert fingerprints.recorded() == {STUDY: OTHER}
+    rows = [{"case": 0, "fingerprint": fingerprint_of_study(STUDY)}, {"case": 1}]
+    save_results(path, {"cases": rows, "counts": [{"n": 2}]})
+    assert fingerprints.recorded() == {STUDY: UNKNOWN}
+    of_no_study = path.parent / "waits" / "waits.json"
+    save_results(of_no_study, with_saved({"rows": [{"case": "a"}]}, of_no_study, ("a",)))
+    assert saved_results(of_no_study) == {"rows": [{"case": "a"}]}
+    assert fingerprints.recorded() == {STUDY: UNKNOWN}
 
 
 def test_a_study_that_names_what_computes_its_cases_is_of_the_state_of_that() -> None:
@@ -254,23 +231,10 @@ def test_a_study_that_names_what_computes_its_cases_is_of_the_state_of_that() ->
     assert of_the_paper == {"work", "layups", "rows"}
 
 
-def test_a_case_without_a_fingerprint_among_others_is_of_unknown_code(ledger: Path) -> None:
-    rows = [{"case": 0, "fingerprint": fingerprint_of_study(STUDY)}, {"case": 1}]
-    save_results(ledger.with_name(f"{STUDY}.json"), {"cases": rows, "counts": [{"n": 2}]})
-    assert fingerprints.recorded() == {STUDY: UNKNOWN}
-
-
-@pytest.mark.parametrize("name", STUDIES)
-def test_a_study_reads_its_saved_results_with_their_fingerprints(name: str) -> None:
-    text = (PROJECT / "studies" / f"{name}.py").read_text("utf-8")
-    assert not re.search(r"\bRESULTS\.(read_text|read_bytes|open)\(", text)
-
-
-def test_results_that_are_of_no_study_have_no_fingerprint(ledger: Path, tmp_path: Path) -> None:
-    path = tmp_path / "waits" / "waits.json"
-    save_results(path, with_saved({"rows": [{"case": "a"}]}, path, ("a",)))
-    assert saved_results(path) == {"rows": [{"case": "a"}]}
-    assert not ledger.exists()
+def test_studies_read_their_saved_results_with_their_fingerprints() -> None:
+    for name in STUDIES:
+        text = (PROJECT / "studies" / f"{name}.py").read_text("utf-8")
+        assert not re.search(r"\bRESULTS\.(read_text|read_bytes|open)\(", text), name
 
 
 def test_the_fingerprint_of_a_study_is_taken_when_it_is_started() -> None:

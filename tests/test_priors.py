@@ -1,4 +1,4 @@
-"""One contract of all priors: a normalised density, its moments, scores, figures and text."""
+"""One contract of all priors: a normalised density, its moments, scores, figures and text; and their sets."""
 
 import math
 import pickle
@@ -6,6 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
+from cpam_bayes.parameters import Parameter, ParameterSet
 from cpam_bayes.priors import (
     LogUniform,
     Mixture,
@@ -56,13 +57,9 @@ def _expectation(prior, function):
 
 
 @every_prior
-def test_densities_integrate_to_one(prior):
+def test_densities_integrate_to_one_with_the_moments_of_the_truncated_distribution(prior):
     # 1e-6: the density of a narrow slice of a wide normal is known to 1e-10 over its width
     assert _expectation(prior, np.ones_like) == pytest.approx(1.0, rel=1e-6)
-
-
-@every_prior
-def test_mean_and_sd_are_those_of_the_truncated_distribution(prior):
     mean, sd = prior.mean, prior.sd
     assert _expectation(prior, lambda x: (x - mean) / sd) == pytest.approx(0.0, abs=1e-6)
     # the second moment of a Student-t with 4 degrees of freedom lacks 1e-7 beyond 1e7 scales
@@ -71,17 +68,12 @@ def test_mean_and_sd_are_those_of_the_truncated_distribution(prior):
 
 
 @every_prior
-def test_samples_stay_inside_and_average_to_the_mean(prior):
-    x = prior.sample(np.random.default_rng(1), 20_000)
+def test_samples_stay_inside_and_have_the_mean_and_median_of_the_density(prior):
+    x = np.sort(prior.sample(np.random.default_rng(1), 20_000))
     assert x.shape == (20_000,)
     assert np.all((x >= prior.lower) & (x <= prior.upper))
     # five standard errors of the mean
     assert x.mean() == pytest.approx(prior.mean, abs=5 * prior.sd / math.sqrt(x.size))
-
-
-@every_prior
-def test_sampled_quantiles_are_those_of_the_density(prior):
-    x = np.sort(prior.sample(np.random.default_rng(2), 20_000))
     middle = x[x.size // 2]
     below = _expectation(prior, lambda value: value <= middle)
     # five standard errors of a median's probability, and one panel at the step
@@ -130,48 +122,35 @@ def test_scores_and_back(prior):
 
 
 @every_prior
-def test_quantiles_and_distribution_function_are_inverse(prior):
+def test_quantiles_are_inverse_and_parts_make_the_density_whose_fractions_sum_to_one(prior):
     p = np.linspace(0.01, 0.99, 15)
+    x = prior.ppf(p)
     # scipy's quantiles of Student's t are good to 3e-8
-    np.testing.assert_allclose(prior.cdf(prior.ppf(p)), p, atol=3e-8)
+    np.testing.assert_allclose(prior.cdf(x), p, atol=3e-8)
     assert prior.cdf([prior.lower, prior.upper]).tolist() == [0.0, 1.0]
+    together = sum(fraction * np.exp(part.log_density(x)) for fraction, part in prior.parts)
+    np.testing.assert_allclose(together, np.exp(prior.log_density(x)), rtol=1e-12)
+    assert sum(fraction for fraction, _ in prior.parts) == 1.0
+    wider = prior.stretched(2.0)
+    assert type(wider) is type(prior)
+    assert (wider.lower, wider.upper) == (2.0 * prior.lower, 2.0 * prior.upper)
+    np.testing.assert_allclose(wider.log_density(2.0 * x), prior.log_density(x) - math.log(2.0), atol=1e-9)
+    assert wider.typical == pytest.approx(2.0 * prior.typical)
 
 
 @every_prior
-def test_a_prior_is_known_by_its_text(prior):
+def test_a_prior_is_known_by_its_text_and_described_in_the_unit_asked_for(prior):
     # texts of priors are in the keys of stored models
     assert eval(repr(prior), {"inf": INF, **globals()}) == prior
     assert pickle.loads(pickle.dumps(prior)) == prior
     assert hash(pickle.loads(pickle.dumps(prior))) == hash(prior)
-
-
-@every_prior
-def test_numbers_of_a_prior_are_in_the_unit_asked_for(prior):
     plain, milli = prior.describe(), prior.describe(lambda value: 1e3 * value)
-    assert [getattr(plain, n) - getattr(prior, n) for n in ("mean", "sd")] == [0.0, 0.0]
-    assert (plain.lower, plain.upper) == (prior.lower, prior.upper)
-    assert plain.kind == milli.kind == prior.kind
+    for name in ("mean", "sd", "lower", "upper", "kind"):
+        assert getattr(plain, name) == getattr(prior, name)
+    assert milli.kind == prior.kind
     assert (plain.centre is None) == prior.is_range
     assert milli.scale == 1e3 * plain.scale > 0.0
     assert milli.upper == 1e3 * prior.upper
-
-
-@every_prior
-def test_a_stretched_prior_is_that_of_the_stretched_quantity(prior):
-    wider = prior.stretched(2.0)
-    assert (wider.lower, wider.upper) == (2.0 * prior.lower, 2.0 * prior.upper)
-    x = prior.ppf(np.linspace(0.05, 0.95, 7))
-    np.testing.assert_allclose(wider.log_density(2.0 * x), prior.log_density(x) - math.log(2.0), atol=1e-9)
-    assert wider.typical == pytest.approx(2.0 * prior.typical)
-    assert type(wider) is type(prior)
-
-
-@every_prior
-def test_fractions_of_the_parts_sum_to_one_and_make_the_density(prior):
-    x = prior.ppf(np.array([0.2, 0.5, 0.9]))
-    together = sum(fraction * np.exp(part.log_density(x)) for fraction, part in prior.parts)
-    np.testing.assert_allclose(together, np.exp(prior.log_density(x)), rtol=1e-12)
-    assert sum(fraction for fraction, _ in prior.parts) == 1.0
 
 
 STUDENT = ScaledStudentT(0.5, 4.0, 0.0, 8.0)
@@ -197,11 +176,9 @@ def test_a_rescaled_prior_keeps_its_bounds(prior, expected):
     "make",
     [
         lambda: Uniform(1.0, 1.0),
-        lambda: Uniform(2.0, 1.0),
         lambda: Uniform(0.0, INF),
         lambda: Uniform(math.nan, 1.0),
         lambda: TruncatedNormal(0.0, 0.0, -1.0, 1.0),
-        lambda: TruncatedNormal(0.0, -1.0, -1.0, 1.0),
         lambda: TruncatedNormal(math.nan, 1.0, -1.0, 1.0),
         lambda: TruncatedNormal(0.0, 1.0, 1.0, -1.0),
         lambda: TruncatedNormal(0.0, 1.0, 50.0, 60.0),
@@ -218,3 +195,82 @@ def test_a_rescaled_prior_keeps_its_bounds(prior, expected):
 def test_impossible_priors_are_refused(make):
     with pytest.raises(ValueError, match="accepted"):
         make()
+
+
+E1 = Parameter("E1", "Pa", Uniform(1e10, 2e11))
+NU12 = Parameter("nu12", "", TruncatedNormal(0.28, 0.03, 0.15, 0.4))
+MASS = Parameter("mass", "kg", ScaledStudentT(1e-3, 4.0, 0.0, INF), null=0.0)
+SET = ParameterSet((E1, NU12))
+
+
+def test_names_bounds_and_lookup_follow_the_order_of_the_set():
+    assert SET.names == ("E1", "nu12")
+    assert SET.size == 2
+    assert SET.lower.tolist() == [1e10, 0.15]
+    assert SET.upper.tolist() == [2e11, 0.4]
+    assert SET["nu12"] is NU12
+    assert "E1" in SET
+    assert "E2" not in SET
+    with pytest.raises(KeyError, match="E2"):
+        SET["E2"]
+    with pytest.raises(ValueError, match="read-only"):
+        SET.lower[0] = 0.0
+    both = SET.union(ParameterSet((MASS, NU12)))
+    assert both.names == ("E1", "nu12", "mass")
+    fixed = both.fix(nu12=0.3)
+    assert pickle.loads(pickle.dumps(fixed)) == fixed
+
+
+@pytest.mark.parametrize("shape", [(), (5,), (2, 3)])
+def test_vectors_and_names_round_trip(shape):
+    x = np.random.default_rng(0).normal(size=(*shape, 2)) + 1e-30j
+    mapping = SET.mapping(x)
+    assert mapping["E1"].shape == shape
+    assert np.array_equal(SET.vector(mapping), x)
+    broadcast = SET.vector({"nu12": 0.3, "E1": np.array([1.0, 2.0]), "other": 9.0})
+    assert broadcast.tolist() == [[1.0, 0.3], [2.0, 0.3]]
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: SET.union(ParameterSet((Parameter("nu12", "", Uniform(0.1, 0.4)),))), "defined twice"),
+        (lambda: SET.union(ParameterSet((), (("nu12", 0.3),))), "defined twice"),
+        (lambda: ParameterSet((E1, E1)), "more than once"),
+        (lambda: SET.fix(E2=1.0), "E2"),
+        (lambda: SET.fix(E1=math.nan), "E1"),
+        (lambda: SET.without("E2"), "E2"),
+        (lambda: SET.vector({"E1": 1.0}), "E1"),
+        (lambda: SET.mapping(np.zeros(3)), "E1"),
+        (lambda: SET.log_prior(1.0), "E1"),
+    ],
+)
+def test_misuse_of_a_set_is_refused(make, said):
+    with pytest.raises(ValueError, match=said):
+        make()
+
+
+def test_fixed_parameters_leave_the_vector_and_stay_in_the_mapping_and_others_are_dropped():
+    fixed = SET.fix(nu12=0.3)
+    assert fixed.names == ("E1",)
+    mapping = fixed.mapping(np.array([[5.0], [6.0]]))
+    assert mapping["nu12"].tolist() == [0.3, 0.3]
+    assert mapping["E1"].tolist() == [5.0, 6.0]
+    assert SET.without("E1").names == ("nu12",)
+    assert "E1" not in SET.without("E1").mapping(np.array([0.3]))
+
+
+def test_densities_are_summed_and_samples_repeatable_inside_the_bounds():
+    x = np.array([[1e11, 0.28], [1e11, 0.5]])
+    expected = E1.prior.log_density(1e11) + NU12.prior.log_density(0.28)
+    assert SET.log_prior(x).tolist() == [pytest.approx(float(expected)), -INF]
+    first = SET.sample(np.random.default_rng(7), 50)
+    assert first.shape == (50, 2)
+    assert np.array_equal(first, SET.sample(np.random.default_rng(7), 50))
+    assert np.all((first >= SET.lower) & (first <= SET.upper))
+    empty = ParameterSet(())
+    assert empty.size == 0
+    assert empty.lower.shape == (0,)
+    assert empty.log_prior(np.empty((4, 0))).tolist() == [0.0] * 4
+    assert empty.sample(np.random.default_rng(0), 3).shape == (3, 0)
+    assert empty.vector({}).shape == (0,)

@@ -11,21 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cpam_bayes.storage import (
-    cache_directory,
-    draft_directory,
-    draft_file,
-    name_unused_models,
-    put_in_place,
-    read_arrays,
-    read_sealed,
-    sweep,
-    write_arrays,
-    write_sealed,
-)
-
-# Drafts
-
+from cpam_bayes import storage
+from cpam_bayes.storage import draft_directory, draft_file, read_arrays, read_sealed, sweep, write_sealed
 
 KILLED = """
 import os, signal, sys
@@ -56,17 +43,15 @@ def test_what_a_killed_process_left_is_swept_and_nothing_else(tmp_path: Path) ->
         sweep(tmp_path)
         assert set(tmp_path.iterdir()) == {own, mine, *others}
     assert set(tmp_path.iterdir()) == others
-
-
-def test_the_next_draft_in_a_directory_sweeps_it(tmp_path: Path) -> None:
-    left = kill_a_writer(tmp_path)
-    with draft_file(tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    left = kill_a_writer(elsewhere)
+    with draft_file(elsewhere):  # the first draft in a directory sweeps it too
         assert not any(path.exists() for path in left)
 
 
-@pytest.mark.parametrize(
-    "name", [".cpam-bayes-00000000-1-x", ".cpam-bayes-x8fs7d"], ids=["other machine", "nobody"]
-)
+# of another machine, and of nobody
+@pytest.mark.parametrize("name", [".cpam-bayes-00000000-1-x", ".cpam-bayes-x8fs7d"])
 def test_drafts_of_unknown_processes_are_swept_after_a_day(tmp_path: Path, name: str) -> None:
     draft = tmp_path / name
     draft.mkdir()
@@ -90,9 +75,6 @@ def test_a_link_that_looks_like_a_draft_is_not_followed(tmp_path: Path) -> None:
     assert (kept / "file").read_text() == "mine"
 
 
-# Sealed files
-
-
 ARRAYS = {
     "stack": np.arange(60.0).reshape(3, 4, 5),
     "name": np.array("a text"),
@@ -104,7 +86,7 @@ def test_what_was_written_is_read_back_bit_for_bit_under_its_name_alone(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "model.arrays"
-    write_arrays(path, ARRAYS)
+    storage.write_arrays(path, ARRAYS)
     stored = read_arrays(path)
     assert stored is not None
     assert stored.keys() == ARRAYS.keys()
@@ -157,8 +139,6 @@ def test_a_write_that_fails_leaves_what_was_there_and_no_draft(
 
 @pytest.mark.parametrize("kind", ["link", "dangling link", "directory", "pipe"])
 def test_only_a_regular_file_is_replaced(tmp_path: Path, kind: str) -> None:
-    import os
-
     draft, path, aim = tmp_path / "draft", tmp_path / "file", tmp_path / "aim"
     draft.write_text("new")
     if kind == "link":
@@ -171,43 +151,34 @@ def test_only_a_regular_file_is_replaced(tmp_path: Path, kind: str) -> None:
         os.mkfifo(path)
     before = path.lstat()
     with pytest.raises(FileExistsError, match="a directory, link, pipe or device is in its place"):
-        put_in_place(draft, path)
+        storage.put_in_place(draft, path)
     assert path.lstat().st_ino == before.st_ino
     assert aim.exists() == (kind == "link")
     regular = tmp_path / "regular"
     regular.write_text("old")
-    put_in_place(draft, regular)
+    storage.put_in_place(draft, regular)
     assert regular.read_text() == "new"
 
 
-# The cache of models
-
-
-def test_the_cache_lies_where_the_system_keeps_caches(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def test_the_cache_lies_where_the_system_keeps_caches_and_models_of_earlier_versions_are_named_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
     monkeypatch.delenv("CPAM_BAYES_CACHE", raising=False)
     if sys.platform == "linux":
-        assert cache_directory() == tmp_path / "xdg" / "cpam_bayes"
-    assert cache_directory().name == "cpam_bayes"
-    monkeypatch.setenv("CPAM_BAYES_CACHE", str(tmp_path / "own"))
-    assert cache_directory() == tmp_path / "own"
-
-
-def test_models_of_earlier_versions_are_named_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+        assert storage.cache_directory() == tmp_path / "xdg" / "cpam_bayes"
+    assert storage.cache_directory().name == "cpam_bayes"
     monkeypatch.setenv("CPAM_BAYES_CACHE", str(tmp_path))
+    assert storage.cache_directory() == tmp_path
     (tmp_path / "notes.arrays").write_bytes(b"of somebody else")
-    name_unused_models.cache_clear()
-    name_unused_models()
+    storage.name_unused_models.cache_clear()
+    storage.name_unused_models()
     assert not caplog.messages
     for name in (f"{'0' * 32}.arrays", f"{'1' * 32}-local4.arrays"):
         (tmp_path / name).write_bytes(bytes(2**20))
-    name_unused_models.cache_clear()
+    storage.name_unused_models.cache_clear()
     for _ in range(2):
-        name_unused_models()
+        storage.name_unused_models()
     (message,) = caplog.messages
     assert message.startswith(f"{tmp_path} holds 2.0 MiB of plate models")
-    name_unused_models.cache_clear()
+    storage.name_unused_models.cache_clear()

@@ -1,16 +1,19 @@
 """Studies keep working: small runs, saved results, and the list of them."""
 
 import importlib.util
+import itertools
 import json
 import re
 from functools import cache
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+import cpam_bayes as cb
+from tests import plate_file
 from tests.shared import once_a_run
 
 PROJECT = Path(__file__).parent.parent
@@ -38,13 +41,11 @@ def quick_text(name: str) -> str:
 
 
 def quick(name: str) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(quick_text(name))
-    return found
+    return dict(json.loads(quick_text(name)))
 
 
 def saved(name: str) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads((SAVED / f"{name}.json").read_text(encoding="utf-8"))
-    return found
+    return dict(json.loads((SAVED / f"{name}.json").read_text(encoding="utf-8")))
 
 
 # Long ones that are tested in parts: claims, hostile files and growth have files of tests of their own.
@@ -61,18 +62,14 @@ def test_a_small_run_has_the_documented_keys(name: str) -> None:
     assert found["quick"] is True
 
 
-@pytest.mark.parametrize("name", STUDIES)
-def test_saved_results_are_those_of_a_full_run(name: str) -> None:
-    found = saved(name)
-    assert list(found) == list(script("studies", name).KEYS)
-    assert found["quick"] is False
-
-
 @pytest.mark.parametrize("name", [*STUDIES, "write_pages"])
-def test_a_study_answers_help_and_computes_nothing(
+def test_saved_results_are_those_of_a_full_run_and_help_computes_nothing(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     study = script("studies", name)
+    if name in STUDIES:
+        assert list(saved(name)) == list(study.KEYS)
+        assert saved(name)["quick"] is False
     monkeypatch.setattr(study, "run", None, raising=False)
     monkeypatch.setattr("sys.argv", [f"{name}.py", "--help"])
     with pytest.raises(SystemExit) as stop:
@@ -89,9 +86,6 @@ def listed(readme: Path) -> set[str]:
 def test_each_study_is_listed_and_has_a_figure() -> None:
     assert listed(PROJECT / "studies" / "README.md") == set(STUDIES)
     assert set(STUDIES) <= FIGURES
-
-
-# What the studies say
 
 
 @pytest.mark.slow
@@ -141,9 +135,6 @@ def test_navier_gives_the_known_frequency_of_a_thin_isotropic_plate() -> None:
     assert study.navier(thin, 1)[0] == pytest.approx(exact, rel=1e-5)
 
 
-# Verdicts on the worked cases
-
-
 CASES = "17_worked_cases"
 
 
@@ -175,3 +166,60 @@ def test_saved_answers_are_held_against_the_truths_of_the_files() -> None:
         truth = truths[row["case"]]
         assert row["truth"]["cause"] == truth["cause"]
         assert {c["name"]: c["truth"] for c in row["constants"]} == truth["constants"]
+
+
+GROWTH = script("studies", "23_growth")
+
+
+def test_the_exponent_of_a_power_law_is_found_with_no_error() -> None:
+    found = GROWTH.row("solve", "modes", [(n, 0.3 * n**1.7) for n in (6, 12, 60)])
+    assert found["exponent"] == pytest.approx(1.7, abs=1e-12)
+    assert found["exponent_error"] == pytest.approx(0.0, abs=1e-12)
+    assert GROWTH.row("solve", "modes", [(6, 1.0), (12, 4.0)])["exponent_error"] is None
+
+
+def test_a_curve_ends_before_a_size_that_is_expected_to_cost_too_much(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run: list[int] = []
+    clock = itertools.accumulate(t for n in (1, 2, 4, 8) for t in (0.0, float(n**2)))
+    monkeypatch.setattr(GROWTH.time, "process_time", lambda: next(clock))
+    curve = GROWTH.Curve("solve", "modes", (1, 2, 4, 8), lambda n: lambda: run.append(n))
+    found = GROWTH.measured(curve, 20.0)
+    assert run == [1, 2, 4]
+    assert found["exponent"] == pytest.approx(2.0)
+    assert GROWTH._expected([(p["size"], p["seconds"]) for p in found["points"]], 8) == pytest.approx(64.0)
+    assert "solve, modes 4: 16.0 s" in capsys.readouterr().err
+
+
+def test_the_model_of_a_cluster_gives_back_its_line() -> None:
+    batches: list[dict[str, Any]] = [
+        {"plates": n, "workers": w, "here_s": 1.0, "busiest_worker_s": 2.0 + 1.5 * n / w}
+        for n, w in ((2, 1), (2, 2), (8, 1), (8, 2))
+    ]
+    a, b, worst = GROWTH.model_of(batches)
+    assert (a, b) == (pytest.approx(3.0), pytest.approx(1.5))
+    assert worst == pytest.approx(0.0, abs=1e-12)
+
+
+def test_sizes_that_were_not_run_are_said() -> None:
+    curve = next(c for c in GROWTH.curves(False) if c.name == "batch, plates")
+    points = [(n, 2.0 * n) for n in curve.sizes[:3]]
+    left = ", ".join(map(str, curve.sizes[3:]))
+    said = GROWTH._unreached(GROWTH.row(curve.question, curve.size, points))
+    assert said == f"{left}: {2.0 * curve.sizes[3]:.0f} s expected at {curve.sizes[3]}"
+    whole = GROWTH.row(curve.question, curve.size, [(n, 2.0 * n) for n in curve.sizes])
+    assert GROWTH._unreached(whole) == ""
+
+
+def test_a_plate_has_as_many_unknowns_and_plies_as_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    # its list needs a solve, and is of no interest here
+    monkeypatch.setattr(GROWTH.cb, "forward", lambda plate, n: SimpleNamespace(frequencies=100.0))
+    for parameters in (2, 4, 6, 8):
+        specimen = cb.read_plate(GROWTH.plate(parameters=parameters, modes=3))
+        assert specimen.unknowns.size + len(specimen.plate.sd) == parameters
+    material = {"isotropic": False, **GROWTH.CONSTANTS}
+    for n_plies in (4, 16, 64):
+        layup = GROWTH.cross_ply(n_plies)
+        plate = plate_file.described((260.0, 220.0, 3.2), 1590.0, material, layup=layup)
+        assert cb.read_plate(plate).plate.layup.n_plies == n_plies

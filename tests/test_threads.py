@@ -27,25 +27,16 @@ def _two_threads() -> Iterator[None]:
         yield
 
 
-def test_the_limit_is_lifted_at_the_end_even_of_a_failure() -> None:
+def test_the_limit_is_lifted_at_the_end_of_the_outer_function_even_of_a_failure() -> None:
+    inner = single_blas_thread(blas_threads)
+
     @single_blas_thread
     def fail() -> None:
-        assert blas_threads() == 1
+        assert (inner(), blas_threads()) == (1, 1)
         raise LookupError
 
     with pytest.raises(LookupError):
         fail()
-    assert blas_threads() == 2
-
-
-def test_an_inner_function_does_not_lift_the_limit_of_the_outer() -> None:
-    inner = single_blas_thread(blas_threads)
-
-    @single_blas_thread
-    def outer() -> tuple[int, int]:
-        return inner(), blas_threads()
-
-    assert outer() == (1, 1)
     assert blas_threads() == 2
 
 
@@ -70,51 +61,31 @@ def test_the_last_thread_to_leave_lifts_the_limit_and_no_other() -> None:
     assert blas_threads() == 2
 
 
-@pytest.fixture
-def matrices() -> Array:
-    given = np.random.default_rng(3).normal(size=(101, 30, 30))
-    return given + given.swapaxes(1, 2)
-
-
-def test_a_stack_is_shared_out_and_its_answer_is_that_of_one_thread_to_the_last_bit(
-    matrices: Array, monkeypatch: pytest.MonkeyPatch
+def test_a_stack_is_shared_out_but_by_workers_and_its_answer_is_that_of_one_thread_to_the_last_bit(
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    matrices = np.random.default_rng(3).normal(size=(101, 30, 30))
+    matrices += matrices.swapaxes(1, 2)
     expected = np.linalg.eigvalsh(matrices)
-    sizes = []
+    shares: list[tuple[int, str]] = []
 
     def counted(stack: Array) -> Array:
-        sizes.append(len(stack))
+        shares.append((len(stack), current_thread().name))
         return np.linalg.eigvalsh(stack)
 
-    monkeypatch.setattr(running, "cores", lambda: 3)
-    found = running.matrix_by_matrix(counted, matrices)
-    assert sorted(sizes) == [33, 34, 34]
-    np.testing.assert_array_equal(found, expected)
-
-
-def test_a_worker_shares_out_nothing(matrices: Array, monkeypatch: pytest.MonkeyPatch) -> None:
-    names = set()
-
-    def named(stack: Array) -> Array:
-        names.add(current_thread().name)
-        return np.linalg.eigvalsh(stack)
-
-    monkeypatch.setattr(running, "cores", lambda: 3)
-    with running.keep_to_one_core():
-        running.matrix_by_matrix(named, matrices)
-        assert names == {current_thread().name}
-    running.matrix_by_matrix(named, matrices)
-    assert len(names) > 1
-
-
-def test_an_error_in_a_helping_thread_reaches_the_caller(
-    matrices: Array, monkeypatch: pytest.MonkeyPatch
-) -> None:
     def fails_at_the_end(stack: Array) -> Array:
         if stack[-1, 0, 0] == matrices[-1, 0, 0]:
             raise np.linalg.LinAlgError("no convergence")
         return np.linalg.eigvalsh(stack)
 
-    monkeypatch.setattr(running, "cores", lambda: 2)
+    monkeypatch.setattr(running, "cores", lambda: 3)
+    with running.keep_to_one_core():
+        running.matrix_by_matrix(counted, matrices)
+    assert {name for _, name in shares} == {current_thread().name}
+    shares.clear()
+    found = running.matrix_by_matrix(counted, matrices)
+    assert sorted(size for size, _ in shares) == [33, 34, 34]
+    assert len({name for _, name in shares}) > 1
+    np.testing.assert_array_equal(found, expected)
     with pytest.raises(np.linalg.LinAlgError, match="no convergence"):
         running.matrix_by_matrix(fails_at_the_end, matrices)

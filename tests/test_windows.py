@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -45,13 +46,20 @@ if __name__ == "__main__":
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """The script and files that it is run on."""
-    (tmp_path / "run.py").write_text(SCRIPT, encoding="utf-8")
-    for name in ("panel", "other"):
-        (tmp_path / f"{name}.toml").write_text(PLATE + MEASURED, encoding="utf-8")
-    (tmp_path / "coin.toml").write_text("frequencies_hz = [113, 165, 217, 286, 299, 493]\n", encoding="utf-8")
-    left = tmp_path / ".cpam-bayes-00000000-1-left"  # what a killed process left is looked at
-    left.write_bytes(b"")
+    coin = "frequencies_hz = [113, 165, 217, 286, 299, 493]\n"
+    # what a killed process left is looked at
+    files = {"run.py": SCRIPT, "coin.toml": coin, ".cpam-bayes-00000000-1-left": ""}
+    for name, text in (files | dict.fromkeys(("panel.toml", "other.toml"), PLATE + MEASURED)).items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
     return tmp_path
+
+
+WORKERS = ("--workers", "2")
+LONG = ("--swarms", "1", "--iterations", "100000", "--particles", "10000")
+
+
+def slow(*arguments: object) -> Any:
+    return pytest.param(*arguments, marks=pytest.mark.slow)
 
 
 @pytest.mark.parametrize(
@@ -59,13 +67,9 @@ def folder(tmp_path: Path) -> Path:
     [
         ("--version",),
         ("identify", "panel.toml", "--json", "--out", "answer"),
-        pytest.param(
-            ("batch", "panel.toml", "other.toml", "--out", "answers", "--workers", "2"),
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(("prove", "panel.toml", "coin.toml", "--out", "answer"), marks=pytest.mark.slow),
+        slow(("batch", "panel.toml", "other.toml", "--out", "answers", *WORKERS)),
+        slow(("prove", "panel.toml", "coin.toml", "--out", "answer")),
     ],
-    ids=("version", "identify", "workers", "prove"),
 )
 def test_commands_run_without_the_names_that_windows_lacks(folder: Path, arguments: tuple[str, ...]) -> None:
     command = [sys.executable, "run.py", *arguments]
@@ -77,15 +81,9 @@ def test_commands_run_without_the_names_that_windows_lacks(folder: Path, argumen
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (
-            ("identify", "panel.toml", "--swarms", "1", "--iterations", "100000", "--particles", "10000"),
-            "iter",
-        ),
-        pytest.param(
-            ("batch", "panel.toml", "C1", "C3", "--workers", "2"), "batch: 3", marks=pytest.mark.slow
-        ),
+        (("identify", "panel.toml", *LONG), "iter"),
+        slow(("batch", "panel.toml", "C1", "C3", *WORKERS), "batch: 3"),
     ],
-    ids=("identify", "workers"),
 )
 def test_ctrl_c_ends_a_run_without_the_names_that_windows_lacks(
     folder: Path, arguments: tuple[str, ...], line: str
