@@ -18,12 +18,8 @@ from typing import Any
 
 PROGRAM = "chromium"
 _OPTIONS = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-dev-shm-usage",
-    "--hide-scrollbars",
-    "--remote-debugging-pipe",
+    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"),
+    *("--hide-scrollbars", "--remote-debugging-pipe"),
 )
 _TIME_LIMIT = 60.0
 _MOST_LOOKS = 6000
@@ -115,13 +111,8 @@ class Browser:
 
     def visit(self, url: str, width: int, height: int = 900) -> None:
         """Open an address in a window of that width, and wait until it is whole."""
-        self.call(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=height,
-            deviceScaleFactor=1,
-            mobile=width < 600,
-        )
+        window = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+        self.call("Emulation.setDeviceMetricsOverride", **window)
         self._events.clear()
         self.call("Page.navigate", url=url)
         while "Page.loadEventFired" not in self._events:
@@ -148,13 +139,6 @@ class Browser:
         """The page as PNG."""
         shot = self.call("Page.captureScreenshot", captureBeyondViewport=whole)
         path.write_bytes(base64.b64decode(shot["data"]))
-
-    def start(self) -> None:
-        """Open a page and listen to it."""
-        target = self.call("Target.createTarget", url="about:blank")["targetId"]
-        self.session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        for domain in ("Page", "Runtime", "Log", "Network"):
-            self.call(f"{domain}.enable")
 
     def _next(self) -> dict[str, Any]:
         while b"\0" not in self._unread:
@@ -198,7 +182,11 @@ def open_browser() -> Iterator[Browser]:
         os.close(to_us)
         browser = Browser(to_browser, from_browser)
         try:
-            browser.start()
+            target = browser.call("Target.createTarget", url="about:blank")["targetId"]
+            attached = browser.call("Target.attachToTarget", targetId=target, flatten=True)
+            browser.session = attached["sessionId"]
+            for domain in ("Page", "Runtime", "Log", "Network"):
+                browser.call(f"{domain}.enable")
             yield browser
         finally:
             os.close(to_browser)
@@ -212,14 +200,11 @@ def faults(browser: Browser, page: Path, width: int) -> list[str]:
     browser.requests.clear()
     browser.console.clear()
     browser.show(page, width)
-    found = _wider(browser, width, "folded")
+    found = _wider(browser, width)
     browser.value(_OPEN_ALL)
-    found += _wider(browser, width, "opened")
     found += [f"not seen: {alt}" for alt in browser.value(_UNSEEN)]
     found += [f"small letters: {alt}" for alt in browser.value(_SMALL)]
-    found += [f"faint: {text}" for text in browser.value(_FAINT)]
-    if out_of_reach := browser.value(_OUT_OF_REACH):
-        found.append(f"{out_of_reach} parts scroll that no key reaches")
+    found += disturbing(browser, width)
     found += [f"console: {text}" for text in browser.console]
     asked = [url for url in browser.requests if not url.startswith("data:")]
     return found + [f"asked for {url}" for url in asked if url != page.as_uri()]
@@ -227,10 +212,10 @@ def faults(browser: Browser, page: Path, width: int) -> list[str]:
 
 def disturbing(browser: Browser, width: int) -> list[str]:
     """What of the page that is open is wider than its window, too faint, or out of reach of the keys."""
-    found = _wider(browser, width, "page") + [f"faint: {text}" for text in browser.value(_FAINT)]
+    found = _wider(browser, width) + [f"faint: {text}" for text in browser.value(_FAINT)]
     return found + ["a part scrolls that no key reaches"] * browser.value(_OUT_OF_REACH)
 
 
-def _wider(browser: Browser, width: int, state: str) -> list[str]:
+def _wider(browser: Browser, width: int) -> list[str]:
     wide = browser.value("document.documentElement.scrollWidth")
-    return [f"{state}: {wide} px wide in a window of {width}"] if wide > width else []
+    return [f"{wide} px wide in a window of {width}"] if wide > width else []

@@ -15,9 +15,6 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_name] = "1"
 
 
-_LINES_OF_A_FAILURE = 20
-
-
 class FailuresAtOnce:
     """Names what failed when it fails: a run that is cut off has said it."""
 
@@ -27,7 +24,7 @@ class FailuresAtOnce:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.failed:
             terminal = self._config.pluginmanager.get_plugin("terminalreporter")
-            last = report.longreprtext.splitlines()[-_LINES_OF_A_FAILURE:]
+            last = report.longreprtext.splitlines()[-20:]
             terminal.write_line("\n".join(("", f"FAILED {report.nodeid} ({report.when})", *last)))
 
 
@@ -59,9 +56,8 @@ def _run_directory(tmp_path_factory: pytest.TempPathFactory) -> None:
 def _models_of_the_run(_run_directory: None) -> None:
     """Each plate model is made once in a run, by whichever process needs it first."""
     from cpam_bayes.forward_model import build
-    from tests.models_of_the_run import ModelsOfTheRun
 
-    build._made = ModelsOfTheRun(Path(os.environ[shared.DIRECTORY]))
+    build._made = shared.ModelsOfTheRun(Path(os.environ[shared.DIRECTORY]))
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -139,27 +135,20 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
-def _fail(report: pytest.CollectReport | pytest.TestReport) -> None:
-    reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr
-    report.outcome = "failed"
-    report.longrepr = f"skipped, and --no-skips was given: {reason}"
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(
-    item: pytest.Item,
-) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    report = yield
-    if report.skipped and not hasattr(report, "wasxfail") and item.config.option.no_skips:
-        _fail(report)
+def _unless_allowed(report: Any, config: pytest.Config) -> Any:
+    """The report of a test or of a file, failed where it is skipped and --no-skips was given."""
+    if report.skipped and not hasattr(report, "wasxfail") and config.option.no_skips:
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr
+        report.outcome = "failed"
+        report.longrepr = f"skipped, and --no-skips was given: {reason}"
     return report
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_make_collect_report(
-    collector: pytest.Collector,
-) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
-    report = yield
-    if report.skipped and collector.config.option.no_skips:
-        _fail(report)
-    return report
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, Any]:
+    return _unless_allowed((yield), item.config)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector: pytest.Collector) -> Generator[None, Any, Any]:
+    return _unless_allowed((yield), collector.config)

@@ -11,13 +11,7 @@ from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import PlateState, Problem, bare_plate
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Specimen, builtin
-from cpam_bayes.plate.laminate import (
-    ENERGY_CONSISTENT,
-    FIVE_SIXTHS,
-    ShearModel,
-    complete_constants,
-    laminate_geometry,
-)
+from cpam_bayes.plate.laminate import FIVE_SIXTHS, ShearModel, complete_constants, laminate_geometry
 
 CARBON = {"E1": 121.2e9, "E2": 9.34e9, "nu12": 0.23, "G12": 6.25e9}
 GLASS = {"E1": 40.1e9, "E2": 8.9e9, "nu12": 0.23, "G12": 4.23e9}
@@ -86,17 +80,3 @@ def with_plate(name: str, **changes: object) -> Specimen:
     """A built-in specimen with other entries of its plate."""
     specimen = builtin(name)
     return replace(specimen, plate=replace(specimen.plate, **changes))  # type: ignore[arg-type]
-
-
-__all__ = [
-    "ANGLE_PLY_16S",
-    "CARBON",
-    "CROSS_PLY_16S",
-    "ENERGY_CONSISTENT",
-    "FIVE_SIXTHS",
-    "GLASS",
-    "frequencies",
-    "navier",
-    "plate",
-    "with_plate",
-]

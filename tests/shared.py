@@ -1,10 +1,14 @@
 """What many tests need and takes long is computed once in a run, whichever process of it asks first."""
 
 import fcntl
+import hashlib
 import os
 import pickle
+import re
+from collections import OrderedDict
 from collections.abc import Callable
 from functools import wraps
+from inspect import isfunction
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -34,3 +38,42 @@ def once_a_run(function: T) -> T:
         return here[name]
 
     return cast(T, shared)
+
+
+class ModelsOfTheRun(OrderedDict[str, Any]):
+    """Plate models that all processes of a run share, in place of those that a process keeps for itself.
+
+    A model does not depend on the test that needs it first. Models of effects that are not the catalogue's
+    stay in the process, since their keys do not tell two functions of one name apart.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        from cpam_bayes.effects import edges, effect, geometry, layup, masses, plies
+
+        super().__init__()
+        self._directory = directory
+        modules = (edges, effect, geometry, layup, masses, plies)
+        self._functions = {name for m in modules for name, f in vars(m).items() if isfunction(f)}
+
+    def _path(self, key: str) -> Path | None:
+        named = re.sub(r"<function ([\w.<>]+) at 0x[0-9a-f]+>", r"<\1>", key)
+        if " at 0x" in named or not set(re.findall(r"<([\w.<>]+)>", named)) <= self._functions:
+            return None
+        return self._directory / f"{hashlib.sha256(named.encode()).hexdigest()}.pickle"
+
+    def __contains__(self, key: object) -> bool:
+        if super().__contains__(key):
+            return True
+        path = self._path(str(key))
+        if path is None or not path.exists():
+            return False
+        super().__setitem__(str(key), pickle.loads(path.read_bytes()))
+        return True
+
+    def __setitem__(self, key: str, model: Any) -> None:
+        super().__setitem__(key, model)
+        path = self._path(key)
+        if path is not None:
+            own = path.with_suffix(f".{os.getpid()}")
+            own.write_bytes(pickle.dumps(model))
+            own.replace(path)

@@ -378,22 +378,6 @@ def test_a_signal_that_the_shell_said_to_ignore_is_ignored():
     assert "E1" in out
 
 
-@pytest.mark.parametrize("kind", ["device", "link", "pipe"])
-def test_export_with_force_replaces_regular_files_only(run, plate_file, tmp_path, kind):
-    target = Path(os.devnull) if kind == "device" else tmp_path / "deck.inp"
-    kept = tmp_path / "kept.inp"
-    kept.write_text("somebody's")
-    if kind == "link":
-        target.symlink_to(kept)
-    elif kind == "pipe":
-        os.mkfifo(target)
-    before = target.lstat()
-    command = ("export", plate_file(), "--to", "ccx", "--force", "--out", target)
-    refused(run(*command), "a link, pipe or device, accepted")
-    assert target.lstat().st_mode == before.st_mode
-    assert kept.read_text() == "somebody's"
-
-
 def test_results_replace_regular_files_only(run, plate_file, tmp_path):
     out, kept = tmp_path / "out", tmp_path / "kept.json"
     out.mkdir()

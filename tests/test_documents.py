@@ -24,13 +24,6 @@ def test_every_command_has_a_schema() -> None:
         assert any("--json" in action.option_strings for action in parser._actions)
 
 
-@pytest.mark.parametrize("command", DOCUMENTS)
-def test_a_schema_is_one_of_draft_2020_12(command: str) -> None:
-    schema = json_schema(command)
-    assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
-    jsonschema.Draft202012Validator.check_schema(schema)
-
-
 def objects(schema: Any) -> Iterator[dict[str, Any]]:
     """All schemas of objects with named keys, at any depth."""
     for part in schema.values() if isinstance(schema, dict) else schema:
@@ -41,8 +34,11 @@ def objects(schema: Any) -> Iterator[dict[str, Any]]:
 
 
 @pytest.mark.parametrize("command", DOCUMENTS)
-def test_objects_take_no_other_keys_and_say_what_they_are(command: str) -> None:
-    for found in objects(json_schema(command)):
+def test_a_schema_is_one_of_draft_2020_12_whose_objects_take_no_other_keys(command: str) -> None:
+    schema = json_schema(command)
+    assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
+    jsonschema.Draft202012Validator.check_schema(schema)
+    for found in objects(schema):
         assert found["additionalProperties"] is False
         assert found["description"]
 
@@ -70,7 +66,7 @@ def test_a_wrong_key_a_missing_key_and_a_wrong_type_are_refused(key: str, value:
         jsonschema.validate(document, json_schema("plates"))
 
 
-def test_whole_numbers_are_numbers_and_another_command_is_refused() -> None:
+def test_whole_numbers_are_numbers_and_another_command_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     document = copy.deepcopy(PLATES)
     document["plates"][0]["length_mm"] = 300
     assert validated("plates", document) is document
@@ -79,10 +75,7 @@ def test_whole_numbers_are_numbers_and_another_command_is_refused() -> None:
         validated("forward", document)
     with pytest.raises(ValueError, match="command: received 'plate', accepted: app batch"):
         json_schema("plate")
-
-
-def test_every_document_that_a_test_makes_is_held_against_its_schema(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`tests/conftest.py` does so."""
+    # `tests/conftest.py` holds every document that a test makes against its schema
     monkeypatch.setattr("cpam_bayes.questions.plates.__version__", 1)
     with pytest.raises(AssertionError, match="plates: 1 validation error"):
         cb.plates().to_dict()

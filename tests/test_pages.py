@@ -17,11 +17,6 @@ from validation.reporting import (
     FIGURE,
     captions,
     case_by_case,
-    counted,
-    figure_section,
-    in_digits,
-    listed,
-    markdown_table,
     marks,
     of_figure,
     outdated,
@@ -31,7 +26,6 @@ from validation.reporting import (
     sections_of_figures,
     studies_of,
     with_age,
-    with_error,
     with_saved,
     with_sections,
     write_sections,
@@ -121,29 +115,6 @@ def test_a_section_is_written_between_its_marks_alone_in_all_pages(tmp_path: Pat
     assert changed == [tmp_path / "README.md", tmp_path / "docs" / "one.md"]
     assert write_sections(tmp_path, "01_study", {"part": "new"}) == []
 
-
-def test_a_figure_is_linked_from_where_its_page_lies(tmp_path: Path) -> None:
-    caption = tmp_path / "figures" / "x.md"
-    caption.parent.mkdir()
-    caption.write_text("**What it\nis.**\n\nWhat to see.\n\nData: ...\n", encoding="utf-8")
-    shown = "![Figure]({})\n\n**What it is.** What to see."
-    assert figure_section(caption, tmp_path / "README.md") == shown.format("figures/x.png")
-    assert figure_section(caption, tmp_path / "docs" / "one.md") == shown.format("../figures/x.png")
-    titled = "![Figure](figures/x.png)\n\n**What it is.**"
-    assert figure_section(caption, tmp_path / "README.md", titled=True) == titled
-
-
-def test_values_are_written_as_in_print() -> None:
-    numbers = (1296, 46656, 1679616, 60466176, 2.18e9)
-    assert [*map(counted, numbers)] == ["1296", "46 656", "1.7 million", "60 million", "2.2 billion"]
-    assert with_error(0.9702, 0.0118) == "0.970(12)"
-    assert with_error(-27.678, 1e-6) == "-27.678"
-    assert [in_digits(v) for v in (2.35e-5, 0.0014, 1.08e4, 41.0)] == ["2.3e-5", "0.0014", "1.1e4", "41"]
-    assert [listed(names) for names in (["a"], ["a", "b"], ["a", "b", "c"])] == ["a", "a and b", "a, b and c"]
-    assert markdown_table(("x", "y"), [("1", "2")]) == "| x | y |\n|---|---|\n| 1 | 2 |"
-
-
-# Which state of the code computed what
 
 STUDY = "16_theory_error"
 OTHER = "0123456789ab"
@@ -235,15 +206,6 @@ def test_studies_read_their_saved_results_with_their_fingerprints() -> None:
     for name in STUDIES:
         text = (PROJECT / "studies" / f"{name}.py").read_text("utf-8")
         assert not re.search(r"\bRESULTS\.(read_text|read_bytes|open)\(", text), name
-
-
-def test_the_fingerprint_of_a_study_is_taken_when_it_is_started() -> None:
-    sizes = []
-    for script_name in (f"{STUDY}.py", "write_pages.py"):
-        fingerprint_of_study.cache_clear()
-        fingerprints.remember(PROJECT / "studies" / script_name)
-        sizes.append(fingerprint_of_study.cache_info().currsize)
-    assert sizes == [1, 0]
 
 
 def test_a_study_depends_on_what_it_takes_from_validation(
