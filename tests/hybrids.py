@@ -6,15 +6,10 @@ from typing import Any
 CARBON = {"E1_GPa": 121.2, "E2_GPa": 9.34, "nu12": 0.23, "G12_GPa": 6.25, "density_kg_m3": 1590.0}
 GLASS = {"E1_GPa": 40.1, "E2_GPa": 8.9, "nu12": 0.23, "G12_GPa": 4.23, "density_kg_m3": 1900.0}
 
+PLIES = {"layup": "[c0_2/g45/g-45/c90]_s", "edges": "FFFF"}
 HYBRID: dict[str, Any] = {
     "name": "hybrid",
-    "plate": {
-        "length_mm": 300.0,
-        "width_mm": 200.0,
-        "thickness_mm": 3.0,
-        "layup": "[c0_2/g45/g-45/c90]_s",
-        "edges": "FFFF",
-    },
+    "plate": {"length_mm": 300.0, "width_mm": 200.0, "thickness_mm": 3.0, **PLIES},
     "ply": [
         {"name": "c", "material": "carbon", "thickness_mm": 0.25},
         {"name": "g", "material": "glass", "thickness_mm": 0.375},
@@ -35,20 +30,13 @@ def of_layers(
 ) -> dict[str, Any]:
     """A plate of layers at 0 deg, bottom to top: thickness in mm and the table of its material."""
     names = [chr(ord("a") + i) for i in range(len(layers))]
+    named = list(zip(names, layers, strict=True))
+    sizes = {"length_mm": size_mm[0], "width_mm": size_mm[1], "thickness_mm": sum(t for t, _ in layers)}
     return {
         "name": "layers",
-        "plate": {
-            "length_mm": size_mm[0],
-            "width_mm": size_mm[1],
-            "thickness_mm": sum(t for t, _ in layers),
-            "layup": f"[{'/'.join(names)}]",
-            "edges": edges,
-        },
-        "ply": [
-            {"name": name, "material": name, "thickness_mm": t}
-            for name, (t, _) in zip(names, layers, strict=True)
-        ],
-        "material": {name: material for name, (_, material) in zip(names, layers, strict=True)},
+        "plate": {**sizes, "layup": f"[{'/'.join(names)}]", "edges": edges},
+        "ply": [{"name": name, "material": name, "thickness_mm": t} for name, (t, _) in named],
+        "material": {name: material for name, (_, material) in named},
     }
 
 

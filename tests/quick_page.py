@@ -8,34 +8,23 @@ from typing import Any
 
 from cpam_bayes.workbench.visit import Desk, Material, Tasks
 
-EXAMPLE = (Path(__file__).parents[1] / "cpam_bayes" / "workbench" / "pages" / "example.toml").read_text(
-    "utf-8"
-)
+PAGES = Path(__file__).parents[1] / "cpam_bayes" / "workbench" / "pages"
+EXAMPLE = (PAGES / "example.toml").read_text("utf-8")
 ANSWER = {"constants": [], "rows": [], "rms": 0.2, "optimum": {}}
+LINES: dict[str, Any] = {"slips": [], "lines": [], "next": ""}
 FOUND = {
     "claim": "A mass.",
     "kind": "named",
-    "slips": [],
-    "lines": [],
-    "next": "",
     "constants": [],
     "causes": [],
     "rows": [],
     "nothing": 0.0,
+    **LINES,
     "place": [[262.0, 171.0], [3.0, 3.0]],
     "apply_said": "state it",
     "apply": {"sensor": {"mass_g": "5.10", "x_mm": "262", "y_mm": "171"}},
 }
-SETTLED = {
-    **ANSWER,
-    "headline": "Determined.",
-    "slips": [],
-    "lines": [],
-    "next": "",
-    "warnings": [],
-    "shapes": [],
-    "all_rows": None,
-}
+SETTLED = {**ANSWER, **LINES, "headline": "Determined.", "warnings": [], "shapes": [], "all_rows": None}
 HELD = {
     "said": "Hold it on four soft pads.",
     "pads_mm": [[100.0, 60.0]],

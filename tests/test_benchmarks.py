@@ -17,7 +17,6 @@ from tests.mechanics.test_convergence import CONVERGED_HZ
 from validation.reporting import with_sections
 
 README = (waits.ROOT / "benchmarks" / "README.md").read_text("utf-8")
-PAGE = waits.ROOT / "docs" / "speed.md"
 OURS = {
     *("ours, full", "ours, full with derivatives", "ours, reduced", "ours, reduced with derivatives"),
     *("LAPACK alone, sizes of full", "LAPACK alone, sizes of reduced"),
@@ -94,8 +93,8 @@ def test_a_small_run_of_samplers_has_the_documented_keys() -> None:
     assert all(times[samplers.JUMPS, n] < 0.5 * times[samplers.DE, n] for n in {n for _, n in times})
     assert results["fit"]["solves"] >= 2 * 2500, "two rounds at least"
     for row in results["rows"]:
-        per_second = 1.0 / (row["evaluation_s"] * row["autocorrelation_time"])
         # the same numbers, medians taken before or after the division
+        per_second = 1.0 / (row["evaluation_s"] * row["autocorrelation_time"])
         assert row["effective_per_s"] == pytest.approx(per_second, rel=1e-6)
     assert not results["targets"], "coarse meshes and short chains reach nothing"
     assert samplers.ASSEMBLING in cells(samplers.tables(results))
@@ -133,7 +132,7 @@ def test_the_page_says_what_was_measured() -> None:
     assert not results["quick"]
     assert all(set(row) == ROW_KEYS for row in results["waits"])
     assert all(set(row) == SOLVER_KEYS for row in results["solver"])
-    page = PAGE.read_text(encoding="utf-8")
+    page = (waits.ROOT / "docs" / "speed.md").read_text("utf-8")
     assert with_sections(page, "waits", sections(results)) == page
 
 

@@ -83,16 +83,12 @@ def test_limited_work_ends_between_two_items(looks: None, workers: int | None) -
         assert run(plus_one, 1, range(50)) == list(range(1, 51))
 
 
-def test_an_answer_in_time_is_the_same() -> None:
+def test_a_swarm_in_time_gives_the_same_and_late_ends_early_with_status_1_and_says_so_first(run: Run) -> None:
     free = answered("identify")
     with time_limit(3600.0):
         limited = cb.identify("A1", seed=1)
     assert limited.reached_goal
-    assert limited.constants == free.constants
-    assert limited.slips == free.slips
-
-
-def test_a_swarm_ends_early_and_the_command_says_it_first_and_exits_with_1(run: Run) -> None:
+    assert (limited.constants, limited.slips) == (free.constants, free.slips)
     with time_limit(AT_ONCE):
         point = cb.identify("A1", seed=0)
     assert (point.reached_goal, point.status) == (False, "budget")
@@ -116,9 +112,7 @@ def test_emcee_ends_after_a_round_and_goes_on_from_the_store(tmp_path: Any) -> N
     assert list(tmp_path.glob("*"))
 
 
-def test_nothing_is_claimed_of_a_part_of_the_causes_and_the_others_are_named(
-    run: Run, tmp_path: Path
-) -> None:
+def test_nothing_is_claimed_of_a_part_of_the_causes_and_others_are_named(run: Run, tmp_path: Path) -> None:
     plate = tmp_path / "plate.toml"
     plate.write_text(PLATE + MEASURED, "utf-8")
     plain = cb.forward(str(plate)).frequencies[:6]
@@ -184,16 +178,12 @@ def test_plates_that_a_batch_did_not_reach_have_rows_that_say_so() -> None:
 
 
 @pytest.mark.slow
-def test_sequences_that_are_not_weighed_yet_have_no_probability() -> None:
-    with time_limit(AT_ONCE), pytest.raises(TimeIsUpError, match="before there was an answer"):
-        cb.sequence(listed("[?/?]_s", STEP, TRUE, 0.05))
-
-
-@pytest.mark.slow
-def test_constants_of_the_first_sequence_are_sampled_when_time_is_up(
+def test_sequences_are_all_weighed_or_have_no_probability_and_those_of_the_first_are_sampled_in_any_case(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     plate = listed("[?/?]_s", STEP, TRUE, 0.02)
+    with time_limit(AT_ONCE), pytest.raises(TimeIsUpError, match="before there was an answer"):
+        cb.sequence(plate)
     whole = cb.sequence(plate, seed=0)
     sample_mixture = sequence.sample_mixture
 

@@ -123,14 +123,9 @@ def test_what_is_not_legible_is_found() -> None:
     figure.text(0.99, 0.9, "a long text at the edge")
     figure.add_subplot().plot([0.0, 1.0])
     figure.draw_without_rendering()
-    assert faults(figure) == [
-        "100.0 mm wide",
-        "300.0 mm tall",
-        "'two' in 5.0 points",
-        "'a long text at the edge' beyond the page",
-        "axes without a quantity",
-        "'one' over 'two'",
-    ]
+    sizes, small = ["100.0 mm wide", "300.0 mm tall"], ["'two' in 5.0 points"]
+    beyond, over = ["'a long text at the edge' beyond the page"], ["'one' over 'two'"]
+    assert faults(figure) == [*sizes, *small, *beyond, "axes without a quantity", *over]
 
 
 def test_captions_name_the_seeds_of_their_studies() -> None:

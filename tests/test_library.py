@@ -259,7 +259,7 @@ def test_a_plate_can_be_given_as_its_content_in_lists_tuples_or_arrays(plate_fil
         cb.read_plate(content)
 
 
-def test_a_name_or_argument_that_is_not_there_is_left_to_python_and_numbers_of_numpy_are_numbers() -> None:
+def test_what_is_not_there_is_left_to_python_and_numbers_of_numpy_are_numbers() -> None:
     with pytest.raises(AttributeError, match="no attribute 'anneal'"):
         cb.anneal  # noqa: B018
     with pytest.raises(TypeError, match="unexpected keyword argument 'mode'"):

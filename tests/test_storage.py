@@ -139,8 +139,9 @@ def test_a_write_that_fails_leaves_what_was_there_and_no_draft(
 
 @pytest.mark.parametrize("kind", ["link", "dangling link", "directory", "pipe"])
 def test_only_a_regular_file_is_replaced(tmp_path: Path, kind: str) -> None:
-    draft, path, aim = tmp_path / "draft", tmp_path / "file", tmp_path / "aim"
+    draft, path, aim, regular = (tmp_path / name for name in ("draft", "file", "aim", "regular"))
     draft.write_text("new")
+    regular.write_text("old")
     if kind == "link":
         aim.write_text("somebody's")
     if "link" in kind:
@@ -154,8 +155,6 @@ def test_only_a_regular_file_is_replaced(tmp_path: Path, kind: str) -> None:
         storage.put_in_place(draft, path)
     assert path.lstat().st_ino == before.st_ino
     assert aim.exists() == (kind == "link")
-    regular = tmp_path / "regular"
-    regular.write_text("old")
     storage.put_in_place(draft, regular)
     assert regular.read_text() == "new"
 

@@ -134,7 +134,7 @@ def test_a_sentence_is_short_and_complete(code: str) -> None:
         assert said == capitalised(said)
 
 
-def test_numbers_and_cures_are_in_the_sentence() -> None:
+def test_numbers_and_cures_are_in_the_sentences_of_which_each_is_told_once() -> None:
     for code, said in {
         "common_factor": ("2.26 mm instead of 3.2 mm", "density 2.00 times", "0.707 times too high"),
         "large_stated_noise": ("repeatability, 0.2, is 20 %", "write 0.002"),
@@ -145,9 +145,7 @@ def test_numbers_and_cures_are_in_the_sentence() -> None:
     }.items():
         sentence = sentence_of(Notice(code, facts=FACTS[code]))
         assert all(part in sentence for part in said)
-
-
-def test_equal_notices_are_told_once_and_remarks_are_no_warnings() -> None:
+    # equal ones are told once, and remarks are no warnings
     few, other = Notice("failed_plates", facts={"count": 1}), Notice("mixed_materials", "remark")
     assert each_once((few, other, Notice("failed_plates", facts={"count": 1}))) == (few, other)
     assert sentences((few, other, few), "slip", "warning") == (sentence_of(few),)

@@ -124,8 +124,7 @@ def test_a_page_is_whole_in_itself_and_can_be_read_aloud(page: Path) -> None:
 
 
 def test_a_notebook_shows_the_first_screen_alone() -> None:
-    html = RESULT._repr_html_()
-    lines = Outline(html).lines
+    lines = Outline(RESULT._repr_html_()).lines
     assert lines[0] == "p b identify D&G"
     assert any("136.6 GPa" in line for line in lines)
     assert not any("Details" in line or "Computation" in line for line in lines)

@@ -27,16 +27,13 @@ def work(total, quiet=False):
 
 
 @pytest.mark.parametrize("total", [1, 7, 400])
-def test_a_file_gets_about_ten_lines(capsys, total):
+def test_a_file_gets_about_ten_lines_and_items_are_counted_by_their_name(capsys, total):
     work(total)
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == f"identify C1: up to {total} iterations"
     assert lines[1] == "identify C1: building the plate model"
     assert lines[2] == f"identify C1: iteration 0 of {total}, rms 10.0 Hz"
     assert len(lines) == min(total, 10) + 3
-
-
-def test_items_are_counted_by_their_name_and_all_of_them_are_done(capsys):
     with progress("batch", 2, False, counted="plates") as shown:
         shown.tick(1, 1.0)
     assert capsys.readouterr().err.splitlines() == ["batch: 2 plates", "batch: 1 of 2 plates"]
