@@ -1,17 +1,27 @@
-"""The examples of the documentation run, and print and give what stands beside them; notebooks too."""
+"""The examples of the documentation and its notebooks run and give what they show; its site is whole."""
 
+import json
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import nbformat
 import pytest
+import yaml
 
+import cpam_bayes as cb
 from cpam_bayes.cli import COMMANDS, _asked
+from cpam_bayes.documents import DOCUMENTS, json_schema
 from docs.build.examples import ExampleError, check, run_block
+from tests.browser import open_browser
 from tests.test_studies import script
 
 PROJECT = Path(__file__).parent.parent
+DOCS = PROJECT / "docs"
 PAGES = sorted([*PROJECT.glob("docs/*.md"), PROJECT / "README.md"])
 # Pages whose examples take more than some seconds, and one that runs CalculiX.
 SLOW = {
@@ -72,12 +82,12 @@ def test_a_value_that_is_not_the_documented_one_and_a_command_that_fails_fail(tm
 
 
 def test_the_plate_and_the_picture_of_the_first_pages_are_those_of_the_tutorial() -> None:
-    tutorial = (PROJECT / "docs" / "tutorial.md").read_text("utf-8")
+    tutorial = (DOCS / "tutorial.md").read_text("utf-8")
     panel = (PROJECT / "examples" / "panel.toml").read_text("utf-8")
     assert f'```toml title="panel.toml"\n{panel}```' in tutorial
     readme = (PROJECT / "README.md").read_text("utf-8")
     assert f'```toml title="examples/panel.toml"\n{panel}```' in readme
-    picture = (PROJECT / "docs" / "pictures" / "from_foam_to_report.svg").read_text("utf-8")
+    picture = (DOCS / "pictures" / "from_foam_to_report.svg").read_text("utf-8")
     _, _, posterior = tutorial.partition("--out posterior\n")
     rows = re.findall(r"^  (?:E1|E2|nu12|G12) .*?[\d.]+ to [\d.]+", posterior, re.MULTILINE)[:4]
     assert intervals(picture) == intervals("\n".join(rows))
@@ -103,7 +113,7 @@ def test_every_command_and_option_of_the_documentation_exists() -> None:
             assert not unknown, f"{page.name}: cpam-bayes {name}{rest}"
             found += 1
     assert found > len(COMMANDS)
-    listed = (PROJECT / "docs" / "commands.md").read_text("utf-8")
+    listed = (DOCS / "commands.md").read_text("utf-8")
     assert set(COMMANDS) <= set(re.findall(r"^\| `cpam-bayes ([a-z]+)", listed, re.MULTILINE))
 
 
@@ -139,3 +149,72 @@ def test_a_notebook_runs_and_shows_what_it_is_saved_with(path: Path) -> None:
         for notebook in (nbformat.read(path, as_version=4), script("notebooks", "execute").executed(path))
     )
     assert executed == saved
+
+
+HIDDEN = "[...document.querySelectorAll('article img')].filter(i => !i.naturalWidth).map(i => i.src)"
+
+
+def listed_pages(nav: list[Any]) -> list[str]:
+    """The pages of a navigation, in its order."""
+    pages: list[str] = []
+    for entry in nav:
+        for target in entry.values() if isinstance(entry, dict) else [entry]:
+            pages += [target] if isinstance(target, str) else listed_pages(target)
+    return pages
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("site")
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "--site-dir", str(directory)],
+        cwd=PROJECT,
+        env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    return directory
+
+
+def test_the_navigation_names_every_page_once() -> None:
+    nav = yaml.safe_load((PROJECT / "mkdocs.yml").read_text("utf-8"))["nav"]
+    assert sorted(listed_pages(nav)) == sorted(str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md"))
+
+
+def test_the_site_builds_strictly_with_figures_equations_schemas_and_the_api(site: Path) -> None:
+    api = (site / "api.html").read_text("utf-8")
+    described = re.findall(r"^::: cpam_bayes\.(\w+)$", (DOCS / "api.md").read_text("utf-8"), re.MULTILINE)
+    assert set(cb.__all__) <= set(described)
+    assert all(f'id="cpam_bayes.{name}"' in api for name in cb.__all__)
+    # fields of docstrings are a list, of docs/build/docstrings.py, with the types of the signature
+    text = re.sub(r"<[^>]+>", "", api)
+    assert re.search(r"density: kg/m3, from the mass when that was given", text)
+    assert re.search(r"plate\s*\(\s*PlateLike\s*\)\W+the name of a built-in specimen", text)
+    theory = (site / "theory.html").read_text("utf-8")
+    assert theory.count("<math") > 20
+    assert not re.search(r"\\(frac|int|sum|nu)\b", theory)
+    for command in DOCUMENTS:
+        assert json.loads((site / "schema" / f"{command}.json").read_text("utf-8")) == json_schema(command)
+    # nothing comes from a network
+    fetching = re.compile(r'(?:<(?:script|img|iframe)[^>]*\ssrc=|@import\s|url\()["\']?(?:https?:)?//')
+    for file in [*site.rglob("*.html"), *site.rglob("*.css")]:
+        shown = file.read_text("utf-8")
+        assert not fetching.search(shown), file.name
+        if file.suffix == ".html":
+            for source in re.findall(r'<img[^>]*\ssrc="([^"]+)"', shown):
+                assert (file.parent / source).is_file(), f"{file.name}: {source}"
+
+
+@pytest.mark.needs_browser
+def test_every_page_fits_a_screen_and_a_phone_and_shows_its_figures(site: Path) -> None:
+    with open_browser() as browser:
+        for page in sorted(site.glob("*.html")):
+            for width in (1280, 390):
+                browser.show(page, width)
+                wide = browser.value("document.documentElement.scrollWidth")
+                assert wide <= width, f"{page.name}: {wide} px in a window of {width}"
+                hidden = browser.value(HIDDEN)
+                assert hidden == [], page.name
+        assert [url for url in browser.requests if not url.startswith(("file:", "data:", "blob:"))] == []

@@ -176,9 +176,11 @@ def test_a_rescaled_prior_keeps_its_bounds(prior, expected):
     "make",
     [
         lambda: Uniform(1.0, 1.0),
+        lambda: Uniform(2.0, 1.0),
         lambda: Uniform(0.0, INF),
         lambda: Uniform(math.nan, 1.0),
         lambda: TruncatedNormal(0.0, 0.0, -1.0, 1.0),
+        lambda: TruncatedNormal(0.0, -1.0, -1.0, 1.0),
         lambda: TruncatedNormal(math.nan, 1.0, -1.0, 1.0),
         lambda: TruncatedNormal(0.0, 1.0, 1.0, -1.0),
         lambda: TruncatedNormal(0.0, 1.0, 50.0, 60.0),

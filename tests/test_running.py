@@ -1,20 +1,32 @@
-"""A time limit ends work with the best answer so far, which says first what is missing."""
+"""Long work: a time limit ends it with the best answer so far, and BLAS is held to one thread."""
 
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from itertools import count
 from pathlib import Path
+from threading import Barrier, Event, current_thread
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import cpam_bayes as cb
-from cpam_bayes import running as limits
+from cpam_bayes import running
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.parallel import run
 from cpam_bayes.questions import sequence
-from cpam_bayes.running import Described, Progress, TimeIsUpError, cut_short, is_time_up, time_limit
+from cpam_bayes.running import (
+    Described,
+    Progress,
+    TimeIsUpError,
+    cut_short,
+    is_time_up,
+    single_blas_thread,
+    time_limit,
+)
 from tests.answers import CHAINS, SWARM, answered
 from tests.plate_file import MEASURED, PLATE, Run
 from tests.stacking.cases import STEP, TRUE, listed
@@ -26,7 +38,7 @@ AT_ONCE = 1e-9
 def looks(monkeypatch: pytest.MonkeyPatch) -> None:
     """A clock that goes on by a second whenever it is looked at."""
     seconds = count()
-    monkeypatch.setattr(limits.time, "monotonic", lambda: float(next(seconds)))
+    monkeypatch.setattr(running.time, "monotonic", lambda: float(next(seconds)))
 
 
 def left_out(answer: cb.Result) -> dict[str, Any]:
@@ -58,7 +70,7 @@ def test_what_is_missing_is_noted_once() -> None:
     with time_limit(5.0):
         cut_short("this", done=1)
         cut_short("this", done=1)
-        limit = limits.current_limit()
+        limit = running.current_limit()
         assert limit is not None
         assert limit.missing == [("this", {"done": 1})]
 
@@ -190,7 +202,7 @@ def test_sequences_are_all_weighed_or_have_no_probability_and_those_of_the_first
     def late(*args: Any, **kwargs: Any) -> Any:
         with time_limit(AT_ONCE):
             mixture = sample_mixture(*args, **kwargs)
-            missing.append(limits.current_limit())
+            missing.append(running.current_limit())
             return mixture
 
     missing: list[Any] = []
@@ -203,3 +215,78 @@ def test_sequences_are_all_weighed_or_have_no_probability_and_those_of_the_first
     assert cut.answer.probability.tolist() == whole.answer.probability.tolist()
     first, same = whole.mixture.components[0], cut.mixture.components[0]
     assert first.draws.tolist() == same.draws.tolist()
+
+
+def blas_threads() -> int:
+    return max(info["num_threads"] for info in threadpool_info() if info["user_api"] == "blas")
+
+
+@pytest.fixture
+def two_threads() -> Iterator[None]:
+    with threadpool_limits(2, user_api="blas"):
+        assert blas_threads() == 2
+        yield
+
+
+def test_the_limit_is_lifted_at_the_end_of_the_outer_function_even_of_a_failure(two_threads: None) -> None:
+    inner = single_blas_thread(blas_threads)
+
+    @single_blas_thread
+    def fail() -> None:
+        assert (inner(), blas_threads()) == (1, 1)
+        raise LookupError
+
+    with pytest.raises(LookupError):
+        fail()
+    assert blas_threads() == 2
+
+
+def test_the_last_thread_to_leave_lifts_the_limit_and_no_other(two_threads: None) -> None:
+    both_in, first_is_out = Barrier(2), Event()
+
+    @single_blas_thread
+    def first() -> None:
+        both_in.wait(60)
+
+    @single_blas_thread
+    def second() -> int:
+        both_in.wait(60)
+        first_is_out.wait(60)
+        return blas_threads()
+
+    with ThreadPoolExecutor(2) as pool:
+        last = pool.submit(second)
+        pool.submit(first).result(60)
+        first_is_out.set()
+        assert last.result(60) == 1
+    assert blas_threads() == 2
+
+
+def test_a_stack_is_shared_out_but_by_workers_and_its_answer_is_that_of_one_thread_to_the_last_bit(
+    two_threads: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    matrices = np.random.default_rng(3).normal(size=(101, 30, 30))
+    matrices += matrices.swapaxes(1, 2)
+    expected = np.linalg.eigvalsh(matrices)
+    shares: list[tuple[int, str]] = []
+
+    def counted(stack: NDArray[Any]) -> NDArray[Any]:
+        shares.append((len(stack), current_thread().name))
+        return np.linalg.eigvalsh(stack)
+
+    def fails_at_the_end(stack: NDArray[Any]) -> NDArray[Any]:
+        if stack[-1, 0, 0] == matrices[-1, 0, 0]:
+            raise np.linalg.LinAlgError("no convergence")
+        return np.linalg.eigvalsh(stack)
+
+    monkeypatch.setattr(running, "cores", lambda: 3)
+    with running.keep_to_one_core():
+        running.matrix_by_matrix(counted, matrices)
+    assert {name for _, name in shares} == {current_thread().name}
+    shares.clear()
+    found = running.matrix_by_matrix(counted, matrices)
+    assert sorted(size for size, _ in shares) == [33, 34, 34]
+    assert len({name for _, name in shares}) > 1
+    np.testing.assert_array_equal(found, expected)
+    with pytest.raises(np.linalg.LinAlgError, match="no convergence"):
+        running.matrix_by_matrix(fails_at_the_end, matrices)
