@@ -1,5 +1,6 @@
 """Simulated aluminium plates for batches, quick to identify."""
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -41,14 +42,11 @@ def exact(described: Mapping[str, Any]) -> dict[str, Any]:
 
 def written(path: Path, described: Mapping[str, Any]) -> Path:
     """The plate as a file."""
+    sizes = dict(described["plate"])
+    tables = {**described, "plate.sd": sizes.pop("sd", {}), "plate": sizes}
     lines = [f'name = "{described["name"]}"']
-    plate, sd = dict(described["plate"]), described["plate"].get("sd", {})
-    plate.pop("sd", None)
-    tables = {**described, "plate": plate, "plate.sd": sd}
     for section in ("plate", "plate.sd", "material", "unknowns", "measurement"):
         lines.append(f"[{section}]")
-        for key, value in tables[section].items():
-            shown = {True: "true", False: "false"}[value] if isinstance(value, bool) else repr(value)
-            lines.append(f"{key} = {shown}")
-    path.write_text("\n".join(lines).replace("'", '"') + "\n", encoding="utf-8")
+        lines += [f"{key} = {json.dumps(value)}" for key, value in tables[section].items()]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
