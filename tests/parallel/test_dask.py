@@ -16,7 +16,7 @@ from distributed import Client
 
 from cpam_bayes import __version__
 from cpam_bayes.forward_model.build import reduced_model
-from cpam_bayes.inference.posterior import Posterior, plate_posterior
+from cpam_bayes.inference.posterior import plate_posterior
 from cpam_bayes.parallel import WorkersLostError, open_executor, run
 from cpam_bayes.plate import read_specimen
 from tests.parallel import work
@@ -29,14 +29,13 @@ SEEDS = range(24)
 @contextmanager
 def _started(directory: Path, path: list[str], *words: str) -> Iterator[subprocess.Popen[bytes]]:
     """A Dask program, ended with all processes that it started."""
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*path, *sys.path])}
     with (directory / "log").open("ab") as log:
         program = subprocess.Popen(
             [sys.executable, "-m", "dask", *words, "--host", "127.0.0.1", "--no-dashboard"],
             stdout=log,
             stderr=log,
             cwd=directory,
-            env=environment,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join([*path, *sys.path])},
             start_new_session=True,
         )
     try:
@@ -58,14 +57,9 @@ def _workers(directory: Path, n: int, *path: str) -> AbstractContextManager[subp
     return _started(directory, list(path), "worker", *options, *place)
 
 
-@contextmanager
-def _client(directory: Path) -> Iterator[Client]:
+def _client(directory: Path) -> Client:
     """Waits for the scheduler's file; workers do so too."""
-    client = Client(scheduler_file=str(directory / "address"), timeout=120, set_as_default=False)
-    try:
-        yield client
-    finally:
-        client.close()
+    return Client(scheduler_file=str(directory / "address"), timeout=120, set_as_default=False)
 
 
 def _spec(directory: Path) -> str:
@@ -81,8 +75,6 @@ def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def spec(directory: Path) -> Iterator[str]:
     with _scheduler(directory), _workers(directory, 2):
-        with _client(directory) as client:
-            client.wait_for_workers(2, timeout=120)
         yield _spec(directory)
 
 
@@ -94,64 +86,37 @@ def cluster(spec: str, directory: Path) -> Iterator[Executor | None]:
         yield executor
 
 
-@pytest.fixture(scope="module")
-def posterior() -> Posterior:
+def test_the_posterior_of_a_plate_is_the_same_bit_for_bit_when_a_worker_is_killed_too(
+    cluster: Executor, tmp_path: Path
+) -> None:
     specimen = read_specimen("C1")
     model = reduced_model(specimen, specimen.unknowns, specimen.measurement.size)
-    return plate_posterior(model, specimen.measurement, model.full.error)
+    posterior = plate_posterior(model, specimen.measurement, model.full.error)
 
+    def values(results: list[np.ndarray]) -> np.ndarray:
+        """Log probabilities without the process that computed them."""
+        return np.array(results)[:, :-1]
 
-def test_the_posterior_of_a_plate_is_the_same_bit_for_bit(
-    cluster: Executor, posterior: Posterior, tmp_path: Path
-) -> None:
-    here = run(
-        work.log_probabilities, work.Evaluation(posterior, work.Counted(0, str(tmp_path / "0"))), SEEDS
-    )
-    assert all(np.isfinite(values).any() for values in here)
+    counted, flag = work.Counted(0, str(tmp_path / "log")), tmp_path / "killed"
+    here = run(work.log_probabilities, (posterior, counted, ""), SEEDS)
+    assert all(np.isfinite(found).any() for found in here)
     for batch_size in (1, 5, None):
         log = tmp_path / f"log {batch_size}"
-        shared = work.Evaluation(posterior, work.Counted(0, str(log)))
+        shared = (posterior, work.Counted(0, str(log)), "")
         there = run(work.log_probabilities, shared, SEEDS, cluster, batch_size=batch_size)
-        assert np.array_equal(_values(here), _values(there))
-        assert all(values.flags.writeable for values in there)  # as those of a serial run
-        processes = {f"{values[-1]:.0f}" for values in there}
+        assert np.array_equal(values(here), values(there))
+        assert all(found.flags.writeable for found in there)  # as those of a serial run
+        processes = {f"{found[-1]:.0f}" for found in there}
         assert str(os.getpid()) not in processes
         assert sorted(work.lines(log)) == sorted(processes)
-
-
-def test_a_worker_killed_in_the_middle_changes_no_bit(
-    cluster: Executor, posterior: Posterior, tmp_path: Path
-) -> None:
-    counted = work.Counted(0, str(tmp_path / "log"))
-    here = run(work.log_probabilities, work.Evaluation(posterior, counted), SEEDS)
-    flag = tmp_path / "killed"
-    shared = work.Evaluation(posterior, counted, str(flag))
-    there = run(work.log_probabilities, shared, SEEDS, cluster, batch_size=4)
+    there = run(work.log_probabilities, (posterior, counted, str(flag)), SEEDS, cluster, batch_size=4)
     assert flag.exists()
-    assert np.array_equal(_values(here), _values(there))
-
-
-def _values(results: list[np.ndarray]) -> np.ndarray:
-    """Log probabilities without the process that computed them."""
-    return np.array(results)[:, :-1]
+    assert np.array_equal(values(here), values(there))
 
 
 def test_work_of_the_main_module_is_sent_by_value(cluster: Executor) -> None:
     # the workers have no main module of this program, nor what a function defines
-    def add(shared: int, item: int) -> int:
-        return shared + item
-
-    assert run(add, 1, range(5), cluster) == [1, 2, 3, 4, 5]
-
-
-def test_an_executor_of_dask_itself_does_as_well(cluster: Executor, spec: str) -> None:
-    matrix = np.random.default_rng(0).normal(size=(30, 40))
-    client = Client(spec.replace("dask://", "tcp://"), set_as_default=False)
-    try:
-        there = run(work.noisy_norm, matrix, SEEDS, client.get_executor(pure=False))
-    finally:
-        client.close()
-    assert there == run(work.noisy_norm, matrix, SEEDS)
+    assert run(lambda shared, item: shared(item), lambda x: x + 1, [1, 2], cluster) == [2, 3]
 
 
 @pytest.mark.parametrize(
@@ -201,4 +166,4 @@ def test_a_scheduler_that_goes_away_ends_the_work_with_an_error(tmp_path: Path) 
             scheduler.wait()
 
         with pytest.raises(WorkersLostError, match=r"the Dask scheduler at tcp://127\.0\.0\.1:\d+ is gone"):
-            run(work.square_or_kill_always, -1, range(5000), executor, batch_size=1, on_result=stop)
+            run(work.square_or_kill, (-1, ""), range(5000), executor, batch_size=1, on_result=stop)

@@ -1,5 +1,7 @@
-"""Shared-out work gives what serial work gives, whatever happens to the workers."""
+"""Shared-out work gives what serial work gives, wherever it is done and whatever happens to the workers."""
 
+import fcntl
+import operator
 import os
 import pickle
 import signal
@@ -14,13 +16,16 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import dask
+import distributed
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from cpam_bayes.parallel import WorkersLostError, lasting, observed, open_executor, run
-from cpam_bayes.parallel.executors import Ticket, work_through
+from cpam_bayes.parallel import WorkersLostError, executors, lasting, observed, open_executor, run
+from cpam_bayes.parallel.executors import Outcome, Ticket, copied, read_shared, work_through, write_shared
 from tests.parallel import work
+from tests.plate_file import Run, refused
 
 MATRIX = np.random.default_rng(0).normal(size=(30, 40))
 N = 23
@@ -52,13 +57,17 @@ def executor(request: pytest.FixtureRequest) -> Iterator[Executor | None]:
 
 @pytest.mark.parametrize("batch_size", [None, 1, 4, 100])
 @pytest.mark.parametrize("executor", ["one", "two", "threads"], indirect=True)
-def test_results_are_those_of_the_serial_run_in_the_order_of_the_items(
+def test_results_are_those_of_the_serial_run_and_each_is_told_once_with_its_index(
     executor: Executor, batch_size: int | None
 ) -> None:
     seeds = list(range(100, 100 + N))
     expected = [work.noisy_norm(MATRIX, seed) for seed in seeds]
-    assert run(work.noisy_norm, MATRIX, seeds) == expected
-    assert run(work.noisy_norm, MATRIX, seeds, executor, batch_size=batch_size) == expected
+    for where in (None, executor):
+        told: list[tuple[int, float]] = []
+        asked = (work.noisy_norm, MATRIX, seeds, where)
+        found = run(*asked, batch_size=batch_size, on_result=lambda *pair, told=told: told.append(pair))
+        assert found == expected
+        assert sorted(told) == list(enumerate(expected))
 
 
 @pytest.mark.parametrize("executor", ["two", "threads"], indirect=True)
@@ -72,33 +81,21 @@ def test_an_observer_is_told_of_all_that_is_shared_out(executor: Executor) -> No
     assert seen == [(0, 3), (1, 3), (2, 3), (3, 3), (0, 2), (1, 2), (2, 2)]
 
 
-@pytest.mark.parametrize("executor", ["two", "threads"], indirect=True)
-def test_every_result_is_told_once_with_its_index(executor: Executor) -> None:
-    for where in (None, executor):
-        told: list[tuple[int, int]] = []
-        asked = (work.square_or_kill_always, -1, range(N), where)
-        found = run(*asked, on_result=lambda *pair, told=told: told.append(pair))
-        assert sorted(told) == list(enumerate(found))
-
-
-CUBE = np.random.default_rng(2).normal(size=(20, 30, 40))
-
-
-@pytest.mark.parametrize("shared", [MATRIX[::2, ::3], CUBE.transpose(0, 2, 1)], ids=["strided", "permuted"])
-def test_memory_layout_does_not_tell_the_serial_run_from_a_shared_one(
-    two: Executor, shared: np.ndarray
-) -> None:
+def test_memory_layout_does_not_tell_the_serial_run_from_a_shared_one(two: Executor) -> None:
     # products of strided arrays take other paths in BLAS, with other rounding
-    vectors = np.random.default_rng(1).normal(size=(2 * shared.shape[-1], 3))[::2]
-    items = [vectors[:, i] for i in range(3)]
-    here = run(work.column_sum, shared, items)
-    there = run(work.column_sum, shared, items, two)
-    assert np.array_equal(here, there)
+    cube = np.random.default_rng(2).normal(size=(20, 30, 40))
+    for shared in (MATRIX[::2, ::3], cube.transpose(0, 2, 1)):
+        items = list(np.random.default_rng(1).normal(size=(3, 2 * shared.shape[-1]))[:, ::2])
+        here = run(operator.matmul, shared, items)
+        assert np.array_equal(here, run(operator.matmul, shared, items, two))
 
 
 def test_a_serial_run_leaves_its_items_as_they_were_and_takes_what_cannot_be_pickled(two: Executor) -> None:
+    def drawn(shared: None, item: np.random.Generator) -> float:
+        return float(item.normal())
+
     items = [np.random.default_rng(i) for i in range(3)]
-    assert run(work.draw, None, items) == run(work.draw, None, items)
+    assert run(drawn, None, items) == run(drawn, None, items)
     assert run(lambda shared, item: shared(item), lambda x: x + 1, [1, 2]) == [2, 3]
     assert run(work.noisy_norm, MATRIX, [], two) == run(work.noisy_norm, MATRIX, []) == []
 
@@ -132,8 +129,7 @@ def test_a_worker_that_lacks_the_file_gets_the_shared_object_with_a_batch(
             return executor.submit(fn, *args, **kwargs)
 
     log = tmp_path / "log"
-    counted = work.Counted(0, str(log))
-    found = run(work.process_of_counted, counted, range(N), Elsewhere(), batch_size=1)
+    found = run(work.meeting, work.Counted("", str(log)), range(N), Elsewhere(), batch_size=1)
     assert [item for item, _ in found] == list(range(N))
     assert len(work.lines(log)) == len(set(work.lines(log))) <= 2
 
@@ -142,7 +138,7 @@ def test_a_worker_that_lacks_the_file_gets_the_shared_object_with_a_batch(
 @pytest.mark.parametrize("executor", ["two", "pool"], indirect=True)
 def test_what_a_killed_worker_was_doing_is_done_by_others(tmp_path: Path, executor: Executor) -> None:
     flag = tmp_path / "flag"
-    found = run(work.square_or_kill_once, str(flag), range(N), executor, batch_size=3)
+    found = run(work.square_or_kill, (7, str(flag)), range(N), executor, batch_size=3)
     assert found == [item * item for item in range(N)]
     assert flag.exists()
 
@@ -154,13 +150,14 @@ def test_an_item_that_kills_every_worker_is_named_once_all_others_are_done() -> 
         open_executor(processes=1) as executor,
         pytest.raises(WorkersLostError, match=r"items 3 to 3 of 6 .* lost 4 times"),
     ):
-        run(work.square_or_kill_always, 3, range(6), executor, batch_size=1, on_result=told.__setitem__)
+        run(work.square_or_kill, (3, ""), range(6), executor, batch_size=1, on_result=told.__setitem__)
     assert told == {item: item * item for item in range(6) if item != 3}
 
 
 @pytest.mark.parametrize("losses", [1, 3, 4])
 def test_what_the_scheduler_of_dask_gives_up_is_sent_again_three_times(losses: int) -> None:
-    from distributed import KilledWorker
+    def die(*_: object) -> None:
+        raise distributed.KilledWorker("task", SimpleNamespace(address="tcp://worker"), 3)
 
     class Unlucky(ThreadPoolExecutor):
         """The workers that get the batch of item 2 die, at first."""
@@ -168,19 +165,15 @@ def test_what_the_scheduler_of_dask_gives_up_is_sent_again_three_times(losses: i
         deaths = 0
 
         def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-            if pickle.loads(args[2]) == [2] and self.deaths < losses:
-                self.deaths += 1
-                lost: Future[Any] = Future()
-                lost.set_exception(KilledWorker("task", SimpleNamespace(address="tcp://worker"), 3))
-                return lost
-            return super().submit(fn, *args, **kwargs)
+            is_lost = pickle.loads(args[2]) == [2] and self.deaths < losses
+            self.deaths += is_lost
+            return super().submit(die if is_lost else fn, *args, **kwargs)
 
     told: dict[int, int] = {}
     with Unlucky(2) as executor:
         lost = pytest.raises(WorkersLostError, match=r"items 2 to 2 of 6 .* lost 4 times .*KilledWorker")
         with lost if losses > 3 else nullcontext():
-            asked = (work.square_or_kill_always, -1, range(6), executor)
-            run(*asked, batch_size=1, on_result=told.__setitem__)
+            run(work.square_or_kill, (-1, ""), range(6), executor, batch_size=1, on_result=told.__setitem__)
         assert told == {item: item * item for item in range(6) if losses <= 3 or item != 2}
         assert executor.deaths == losses
 
@@ -190,12 +183,11 @@ def test_an_error_of_the_work_comes_as_it_is_with_its_item_and_stops_the_rest(
     tmp_path: Path, executor: Executor
 ) -> None:
     for name, where in (("here", None), ("there", executor)):
-        log = tmp_path / name
-        with (
-            work.held_back(tmp_path / "gate") as gate,
-            pytest.raises(LookupError, match="no luck with 12") as caught,
-        ):
-            run(work.fail_at_gate, (12, str(log), gate), range(10, 200), where, batch_size=1)
+        log, gate = tmp_path / name, tmp_path / "gate"
+        with gate.open("w") as held:
+            fcntl.flock(held, fcntl.LOCK_EX)  # which no item after the failing one passes
+            with pytest.raises(LookupError, match="no luck with 12") as caught:
+                run(work.fail_at, (12, str(log), str(gate)), range(10, 200), where, batch_size=1)
         assert "item 2 of 190" in caught.value.__notes__[-1]
         # at most those that were waiting in the queue of the executor
         assert "12" in work.lines(log)
@@ -204,25 +196,16 @@ def test_an_error_of_the_work_comes_as_it_is_with_its_item_and_stops_the_rest(
 
 def test_an_error_of_the_work_shows_where_in_the_worker_it_was_raised(tmp_path: Path, one: Executor) -> None:
     with pytest.raises(LookupError) as caught:
-        run(work.fail_at, (0, str(tmp_path / "log")), [0], one)
+        run(work.fail_at, (0, str(tmp_path / "log"), ""), [0], one)
     assert "in fail_at" in caught.value.__notes__[0]
     with pytest.raises(RuntimeError, match="OddError: odd indeed"):  # which cannot be pickled
         run(work.fail_oddly, None, [0], one)
 
 
-def test_an_error_of_the_caller_stops_the_rest(tmp_path: Path, two: Executor) -> None:
-    def refuse(index: int, result: int) -> None:
-        raise OSError("disk full")
-
-    log = tmp_path / "log"
-    with pytest.raises(OSError, match="disk full"):
-        run(work.fail_at, (-1, str(log)), range(200), two, batch_size=1, on_result=refuse)
-    assert len(work.lines(log)) < 20
-
-
-def test_what_waits_is_cancelled_when_something_fails() -> None:
+@pytest.mark.parametrize("first", [TypeError("cannot pickle"), OSError("disk full")])
+def test_what_waits_is_cancelled_when_sending_or_the_caller_fails(first: Exception) -> None:
     class Waiting(Executor):
-        """Does nothing but the first batch, which it fails to send."""
+        """Does nothing but the first batch: it is not sent, or its result is what the caller fails with."""
 
         _max_workers = 2
 
@@ -231,31 +214,33 @@ def test_what_waits_is_cancelled_when_something_fails() -> None:
 
         def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
             self.futures.append(Future())
-            if len(self.futures) == 1:
-                self.futures[0].set_exception(TypeError("cannot pickle"))
+            if len(self.futures) == 1 and isinstance(first, TypeError):
+                self.futures[0].set_exception(first)
+            elif len(self.futures) == 1:
+                self.futures[0].set_result(Outcome((first,)))
             return self.futures[-1]
 
+    def fail(index: int, result: Exception) -> None:
+        raise result
+
     executor = Waiting()
-    with pytest.raises(TypeError, match="cannot pickle"):
-        run(work.noisy_norm, MATRIX, range(N), executor)
+    with pytest.raises(type(first), match=str(first)):
+        run(work.noisy_norm, MATRIX, range(N), executor, on_result=fail)
     assert len(executor.futures) > 1
     assert all(future.cancelled() for future in executor.futures[1:])
+
+
+def test_a_worker_of_another_version_and_a_batch_without_items_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"has cpam_bayes .*, this process 0\.0\.0; install the same"):
+        work_through(work.noisy_norm, Ticket("", version="0.0.0"), pickle.dumps([1]))
+    with pytest.raises(ValueError, match="batch_size: received 0, accepted: 1 or more"):
+        run(work.noisy_norm, MATRIX, [1], batch_size=0)
 
 
 def test_work_that_cannot_be_sent_is_said_with_its_items(two: Executor) -> None:
     with pytest.raises((AttributeError, pickle.PicklingError)) as caught:
         run(lambda shared, item: item, None, [1, 2], two, batch_size=2)
     assert "items 0 to 1" in caught.value.__notes__[-1]
-
-
-def test_a_worker_of_another_version_refuses() -> None:
-    with pytest.raises(ValueError, match=r"has cpam_bayes .*, this process 0\.0\.0; install the same"):
-        work_through(work.noisy_norm, Ticket("", version="0.0.0"), pickle.dumps([1]))
-
-
-def test_a_batch_without_items_is_refused() -> None:
-    with pytest.raises(ValueError, match="batch_size: received 0, accepted: 1 or more"):
-        run(work.noisy_norm, MATRIX, [1], batch_size=0)
 
 
 def test_blas_has_one_thread_in_workers(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -265,29 +250,33 @@ def test_blas_has_one_thread_in_workers(monkeypatch: pytest.MonkeyPatch) -> None
         assert run(work.blas_threads, MATRIX, range(2), executor) == [1, 1]
 
 
-def test_blas_has_one_thread_in_threads_and_all_of_its_own_after_them() -> None:
+def test_blas_has_one_thread_here_and_in_any_worker_and_all_of_its_own_after_them() -> None:
     def before_and_after() -> list[int]:
         return [info["num_threads"] for info in threadpool_info() if info["user_api"] == "blas"]
 
+    pickled = pickle.dumps(MATRIX)
     with threadpool_limits(2, user_api="blas"), ThreadPoolExecutor(2) as executor:
         before = before_and_after()
         assert max(before) == 2
+        assert run(work.blas_threads, MATRIX, range(2)) == [1, 1]
         assert run(work.blas_threads, MATRIX, range(8), executor, batch_size=1) == [1] * 8
+        outcome = work_through(work.blas_threads, Ticket("any", pickled=pickled), pickle.dumps([0, 1]))
+        assert outcome.results == (1, 1)
         assert before_and_after() == before
 
 
-def test_blas_has_one_thread_in_this_process_and_in_a_worker_of_any_kind() -> None:
-    pickled = pickle.dumps(MATRIX)
-    with threadpool_limits(2, user_api="blas"):
-        assert run(work.blas_threads, MATRIX, range(2)) == [1, 1]
-        outcome = work_through(work.blas_threads, Ticket("any", pickled=pickled), pickle.dumps([0, 1]))
-    assert outcome.results == (1, 1)
-
-
-def _script(
-    tmp_path: Path, at_start: str = "pass", on_result: str = "None"
-) -> subprocess.CompletedProcess[str]:
-    """A program of a session of its own whose workers wait for ever; returns when all of them have left."""
+@pytest.mark.parametrize(
+    ("at_start", "on_result", "ended"),
+    [
+        ("os.killpg(0, signal.SIGINT)", "None", (0, "interrupted\n", "")),
+        ("pass", "os.killpg(0, signal.SIGINT)", (0, "interrupted\n", "")),
+        ("pass", "os.kill(os.getpid(), signal.SIGKILL)", (-signal.SIGKILL,)),
+    ],
+)
+def test_workers_leave_without_a_word_when_their_session_is_interrupted_or_their_owner_killed(
+    tmp_path: Path, at_start: str, on_result: str, ended: tuple[object, ...]
+) -> None:
+    """A program of a session of its own, whose workers wait for ever."""
     path = tmp_path / "script.py"
     text = f"""
         import os, signal
@@ -309,13 +298,12 @@ def _script(
                 print("interrupted")
     """
     path.write_text(textwrap.dedent(text))
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     program = subprocess.Popen(
         [sys.executable, str(path)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env=environment,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
         start_new_session=True,
         # a shell that puts the tests in the background has them ignore interrupts, and what they start
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
@@ -327,18 +315,7 @@ def _script(
         os.killpg(program.pid, signal.SIGKILL)
         program.communicate()
         raise
-    return subprocess.CompletedProcess(program.args, program.returncode, output, errors)
-
-
-@pytest.mark.parametrize("moment", ["at_start", "on_result"])
-def test_an_interrupt_of_the_whole_session_stops_workers_without_a_word(tmp_path: Path, moment: str) -> None:
-    done = _script(tmp_path, **{moment: "os.killpg(0, signal.SIGINT)"})
-    assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\n", "")
-
-
-def test_workers_leave_when_their_owner_is_killed(tmp_path: Path) -> None:
-    done = _script(tmp_path, on_result="os.kill(os.getpid(), signal.SIGKILL)")
-    assert done.returncode == -signal.SIGKILL
+    assert (program.returncode, output, errors)[: len(ended)] == ended
 
 
 @pytest.mark.parametrize("executor", ["two", "threads"], indirect=True)
@@ -362,3 +339,123 @@ def test_objects_that_last_leave_no_file(tmp_path: Path, monkeypatch: pytest.Mon
         lasting([2.0 * MATRIX], executor)
         assert len(list(tmp_path.iterdir())) == 1
     assert not list(tmp_path.iterdir())
+
+
+# Executors
+
+
+SPECS = ("", "Serial", "dask://host", "dask://:1", "dask://h:0", "dask://h:65536", "tls://h:1/2", "tcp://h:1")
+NOBODY, NOBODY_TLS = "dask://127.0.0.1:1", "tls://127.0.0.1:1"
+ENCRYPTED = {"distributed.comm.require-encryption": True}
+UNREADABLE = {f"distributed.comm.tls.{key}": "none.pem" for key in ("ca-file", "client.cert")}
+
+
+@pytest.mark.parametrize(
+    ("spec", "workers", "settings", "said"),
+    [
+        *((s, None, {}, f"executor: received '{s}', accepted: processes, serial or dask:") for s in SPECS),
+        ("serial", 2, {}, "number of workers: received 2 with executor .* with processes only"),
+        (NOBODY, 2, {}, "number of workers: received 2 with executor .* with processes only"),
+        (None, 0, {}, "number of workers: received 0, accepted: 1"),
+        (NOBODY, None, {}, "received dask://127.0.0.1:1, but no Dask scheduler answers"),
+        (NOBODY_TLS, None, {}, "Dask has no certificates; set ca-file, client.cert and client.key"),
+        (
+            NOBODY_TLS,
+            None,
+            UNREADABLE,
+            r"a certificate or key that Dask is set to use cannot be read \(.*No such file",
+        ),
+        (NOBODY, None, ENCRYPTED, "require encryption; write tls:// for dask://"),
+    ],
+)
+def test_what_cannot_be_an_executor_is_refused(
+    spec: str | None, workers: int | None, settings: dict[str, object], said: str
+) -> None:
+    with (
+        dask.config.set(settings),
+        pytest.raises(ValueError, match=said),
+        open_executor(spec, workers, patience=0.2),
+    ):
+        pass
+
+
+def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with (
+        pytest.raises(ValueError, match=r"Dask is not installed; install cpam-bayes\[dask\]"),
+        open_executor(NOBODY),
+    ):
+        pass
+
+
+def test_an_address_with_tls_reaches_dask_with_tls(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[str] = []
+
+    def client(address: str, **_: object) -> None:
+        asked.append(address)
+        raise OSError
+
+    monkeypatch.setattr(distributed, "Client", client)
+    monkeypatch.setattr(distributed.Security, "get_connection_args", lambda *_: {"ssl_context": 1})
+    with pytest.raises(ValueError, match="no Dask scheduler answers"), open_executor("tls://[::1]:8786/"):
+        pass
+    assert asked == ["tls://[::1]:8786"]
+
+
+def test_the_number_of_workers_is_what_the_executor_says_and_serial_work_has_none() -> None:
+    with (
+        ThreadPoolExecutor(3) as threads,
+        open_executor(processes=2) as pool,
+        open_executor("serial") as none,
+    ):
+        assert executors.workers_of(threads) == 3
+        assert pool is not None
+        assert executors.workers_of(pool) == 2
+        assert none is None
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--executor", "ray"], "argument --executor: received 'ray', accepted: processes, serial or dask:"),
+        (["--workers", "0"], "argument --workers: received '0', accepted: a whole number from 1"),
+        (["--workers", "two"], "argument --workers: received 'two'"),
+    ],
+)
+def test_wrong_options_are_refused(run: Run, options: list[str], message: str) -> None:
+    refused(run("batch", "A1", *options), message)
+
+
+LARGE = np.arange(1 << 19, dtype=float).reshape(-1, 64)
+SMALL = np.arange(3)
+
+
+def written(value: object, path: Path) -> Path:
+    with path.open("wb") as file:
+        write_shared(value, file)
+    return path
+
+
+@pytest.mark.parametrize(
+    "array", [LARGE, LARGE.T, LARGE[:, ::2], LARGE.astype(np.int32), SMALL, np.empty((0, 4))]
+)
+def test_arrays_of_any_order_size_and_type_come_back(array: np.ndarray, tmp_path: Path) -> None:
+    path = written({"name": [array, SMALL, array + 1], "a": (1, "b")}, tmp_path / "shared")
+    found = read_shared(path)
+    path.unlink()  # which the arrays outlive
+    assert found["a"] == (1, "b")
+    for one, expected in zip(found["name"], (array, SMALL, array + 1), strict=True):
+        assert one.dtype == expected.dtype
+        np.testing.assert_array_equal(one, expected)
+
+
+def test_who_writes_into_a_shared_array_has_a_copy_and_the_same_array_is_written_once(tmp_path: Path) -> None:
+    path = written((LARGE, LARGE), tmp_path / "shared")
+    assert path.stat().st_size < LARGE.nbytes + 1000
+    (one, _), (other, _) = read_shared(path), read_shared(path)
+    one[0] = -1.0
+    np.testing.assert_array_equal(other, LARGE)
+    np.testing.assert_array_equal(read_shared(path)[0], LARGE)
+    for array, of_this_process in zip((SMALL, LARGE), copied((SMALL, LARGE)), strict=True):
+        assert of_this_process.flags.writeable
+        assert not np.shares_memory(array, of_this_process)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,22 +20,12 @@ from cpam_bayes.parallel import executors as worker
 
 def append(path: str, text: str) -> None:
     """Add a line in one piece, whoever else writes."""
-    handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
-    os.write(handle, f"{text}\n".encode())
-    os.close(handle)
+    with open(path, "a") as file:
+        file.write(f"{text}\n")
 
 
 def lines(path: Path) -> list[str]:
     return path.read_text().split() if path.exists() else []
-
-
-def first_time(path: str) -> bool:
-    """Whether nobody has asked this before, in any process."""
-    try:
-        os.close(os.open(path, os.O_CREAT | os.O_EXCL))
-    except FileExistsError:
-        return False
-    return True
 
 
 @dataclass(frozen=True)
@@ -60,27 +49,20 @@ def noisy_norm(matrix: np.ndarray, seed: int) -> float:
     return float(np.linalg.norm(matrix @ np.random.default_rng(seed).normal(size=matrix.shape[1])))
 
 
-def process_of_counted(shared: Counted, item: int) -> tuple[int, int]:
+def meeting(shared: Counted, item: int) -> tuple[int, int]:
+    """Items 0 and 1 wait for each other at a pipe with a name, if any: two workers must take them."""
+    if shared.value and item < 2:
+        with open(shared.value, "rw"[item]):
+            pass
     return item, os.getpid()
 
 
-def meeting(shared: Counted, item: int) -> tuple[int, int]:
-    """Items 0 and 1 wait for each other at a pipe with a name: two workers must take them."""
-    if item < 2:
-        with open(shared.value, "rw"[item]):
-            pass
-    return process_of_counted(shared, item)
-
-
-def square_or_kill_once(flag: str, item: int) -> int:
-    """The worker is killed in the middle of item 7, the first time."""
-    if item == 7 and first_time(flag):
-        os.kill(os.getpid(), signal.SIGKILL)
-    return item * item
-
-
-def square_or_kill_always(shared: int, item: int) -> int:
-    if item == shared:
+def square_or_kill(shared: tuple[int, str], item: int) -> int:
+    """The worker is killed in the middle of one item: always, or where a flag is named the first time."""
+    place, flag = shared
+    if item == place and not (flag and os.path.exists(flag)):
+        if flag:
+            Path(flag).touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return item * item
 
@@ -92,30 +74,16 @@ class OddError(Exception):
         super().__init__(f"{first} {second}")
 
 
-def fail_at(shared: tuple[int, str], item: int) -> int:
-    place, log = shared
+def fail_at(shared: tuple[int, str, str], item: int) -> int:
+    """Fails at an item; what comes after that one waits at a gate, however late it is."""
+    place, log, gate = shared
     append(log, str(item))
     if item == place:
         raise LookupError(f"no luck with {item}")
-    return item
-
-
-@contextmanager
-def held_back(path: Path) -> Iterator[str]:
-    """A gate that nobody passes within the block, in any process."""
-    with open(path, "w") as gate:
-        fcntl.flock(gate, fcntl.LOCK_EX)
-        yield str(path)
-
-
-def fail_at_gate(shared: tuple[int, str, str], item: int) -> int:
-    """As ``fail_at``; what comes after the failing item waits at a gate, however late that one is."""
-    place, log, gate = shared
-    found = fail_at((place, log), item)
     if item > place:
         with open(gate) as opened:
             fcntl.flock(opened, fcntl.LOCK_SH)
-    return found
+    return item
 
 
 def fail_oddly(shared: None, item: int) -> int:
@@ -131,29 +99,13 @@ def sums_of_kept(shared: np.ndarray, item: int) -> list[float]:
     return [float(np.sum(found.shared)) for found in worker._restored.values()]
 
 
-def draw(shared: None, item: np.random.Generator) -> float:
-    return float(item.normal())
-
-
-def column_sum(shared: np.ndarray, item: np.ndarray) -> np.ndarray:
-    return shared @ item
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """A posterior, and a flag if a worker is to be killed in the middle."""
-
-    posterior: Posterior
-    counted: Counted
-    flag: str = ""
-
-
-def log_probabilities(shared: Evaluation, seed: int) -> np.ndarray:
-    """Log posterior at parameter vectors drawn from the prior, then the process that computed it."""
-    if shared.flag and seed == 5 and first_time(shared.flag):
-        os.kill(os.getpid(), signal.SIGKILL)
-    x = shared.posterior.parameters.sample(np.random.default_rng(seed), 50)
-    return np.append(shared.posterior.log_prob(x), os.getpid())
+def log_probabilities(shared: tuple[Posterior, Counted, str], seed: int) -> np.ndarray:
+    """Log posterior at vectors drawn from the prior, then the process; a flag has the worker killed once."""
+    posterior, _, flag = shared
+    if flag:
+        square_or_kill((5, flag), seed)
+    x = posterior.parameters.sample(np.random.default_rng(seed), 50)
+    return np.append(posterior.log_prob(x), os.getpid())
 
 
 def of_lasting(call: tuple[Lasting, int], item: int) -> tuple[Any, int]:
