@@ -12,6 +12,14 @@ from typing import Any
 import pytest
 from starlette.testclient import TestClient
 
+from cpam_bayes.workbench.plate_text import (
+    FIELDS,
+    numbers_in,
+    with_block,
+    with_file,
+    with_sensors,
+    with_value,
+)
 from cpam_bayes.workbench.server import application
 from cpam_bayes.workbench.view import folder_news
 from cpam_bayes.workbench.visit import DRAFTS, Work
@@ -69,16 +77,6 @@ def news(client: TestClient, visit: str, holds: str) -> dict[str, Any]:
     raise AssertionError(f"no news of {holds}")
 
 
-def test_the_first_page_explains_itself_in_three_steps_with_an_example_and_the_plates(
-    client: TestClient,
-) -> None:
-    page = client.get("/").text
-    assert page.count("<li><b>") == 3
-    assert 'data-open="example"' in page
-    assert 'data-open="panel.toml"' in page
-    assert "link.toml" not in page
-
-
 def test_an_error_stands_at_its_field_in_the_words_of_the_package(client: TestClient) -> None:
     visit = opened(client, example=True)
     parts = edit(client, visit, do="set", key="plate.length_mm", value="31o")["parts"]
@@ -95,17 +93,6 @@ def test_the_command_that_is_shown_is_of_the_file_that_is_saved(client: TestClie
     assert said["said"] == "saved as example.toml"
     assert "cpam-bayes identify example.toml" in said["parts"]["tools"]
     assert tomllib.loads((folder / "example.toml").read_text("utf-8"))["plate"]["mass_g"] == 341.5
-
-
-def test_what_was_found_is_drawn_applied_and_undone(client: TestClient) -> None:
-    visit = opened(client, example=True)
-    said = news(client, visit, "A mass.")
-    assert 'class="found"' in said["parts"]["drawing"]
-    before = text_of(client, visit)
-    edit(client, visit, do="apply")
-    assert tomllib.loads(text_of(client, visit))["sensor"] == [{"mass_g": 5.10, "x_mm": 262, "y_mm": 171}]
-    edit(client, visit, do="undo")
-    assert text_of(client, visit) == before
 
 
 def drop(client: TestClient, visit: str, name: str, content: bytes) -> dict[str, Any]:
@@ -198,23 +185,20 @@ def test_an_edit_is_never_answered_with_what_a_former_one_asked(patience: float)
     assert len(processes) == 1 or not patience
 
 
-def test_a_killed_server_loses_nothing(client: TestClient, folder: Path) -> None:
-    visit = opened(client, file="panel.toml")
+def test_two_browsers_on_one_plate_do_not_mix_and_a_killed_server_loses_nothing(
+    client: TestClient, folder: Path
+) -> None:
+    visit, other = opened(client, file="panel.toml"), opened(client, file="panel.toml")
+    before = text_of(client, other)
     edit(client, visit, do="set", key="plate.width_mm", value="229.5")
     kept = text_of(client, visit)
+    assert "229.5" in kept
+    assert text_of(client, other) == before
     with TestClient(application(desk_of(folder), TOKEN, PORT), base_url=HERE) as again:
         again.get(f"/?token={TOKEN}")
         assert text_of(again, visit) == kept
         edit(again, visit, do="undo")
-        assert tomllib.loads(text_of(again, visit))["plate"]["width_mm"] == 228.0
-
-
-def test_two_browsers_on_one_plate_do_not_mix(client: TestClient) -> None:
-    one, other = opened(client, file="panel.toml"), opened(client, file="panel.toml")
-    before = text_of(client, other)
-    edit(client, one, do="row", index=0, value="77.7")
-    assert "77.7" in text_of(client, one)
-    assert text_of(client, other) == before
+        assert text_of(again, visit) == before
 
 
 def test_a_file_that_another_program_changed_is_not_written_over(client: TestClient, folder: Path) -> None:
@@ -226,12 +210,21 @@ def test_a_file_that_another_program_changed_is_not_written_over(client: TestCli
     assert (folder / "panel.toml").read_text("utf-8") == "name = 'by hand'\n"
 
 
-def test_every_page_forbids_what_is_not_from_here(client: TestClient) -> None:
+def test_pages_explain_themselves_and_hold_nothing_but_style_script_and_plates_of_the_folder(
+    client: TestClient,
+) -> None:
+    page = client.get("/").text
+    assert page.count("<li><b>") == 3
+    assert 'data-open="example"' in page
+    assert 'data-open="panel.toml"' in page
+    assert "link.toml" not in page
     for path in ("/", opened(client), "/file/app.js"):
         policy = client.get(path).headers["content-security-policy"]
         assert "default-src 'none'" in policy
         assert "http" not in policy
         assert "unsafe" not in policy
+    for path in ("file/../server.py", "file/%2e%2e%2fserver.py", "file/app.py", "visit/../../etc/passwd"):
+        assert client.get(f"/{path}").status_code == 404
 
 
 # Values that a hostile request puts where a name, a path, a number or a list is expected.
@@ -314,13 +307,6 @@ def test_hostile_requests_are_answered_with_an_error_and_touch_no_file(
     assert text_of(client, visit) == text
 
 
-@pytest.mark.parametrize(
-    "path", ["/file/../server.py", "/file/%2e%2e%2fserver.py", "/file/app.py", "/visit/../../etc/passwd"]
-)
-def test_no_file_is_served_but_the_style_and_the_script(client: TestClient, path: str) -> None:
-    assert client.get(path).status_code == 404
-
-
 def test_a_plate_file_that_names_a_file_outside_the_folder_is_not_followed(
     client: TestClient, folder: Path
 ) -> None:
@@ -344,3 +330,79 @@ def test_what_takes_long_says_how_long_the_rest_of_its_stage_takes(
     assert said == [(0.0, "weighing"), (0.25, "weighing, about 2 min left")]
     work = Work(desk=desk_of(folder), file="batch", doing=("diagnose", *said[1]))
     assert "about 2 min left" in folder_news([], work)["parts"]["doing"]
+
+
+# A plate file as a text: the value changes, everything else stays
+
+
+PANEL = (Path(__file__).parents[2] / "examples" / "panel.toml").read_text("utf-8")
+
+
+def without(data: dict, key: str) -> dict:
+    table, _, name = key.rpartition(".")
+    inner = {k: v for k, v in (data[table] if table else data).items() if k != name}
+    return {**data, table: inner} if table else inner
+
+
+@pytest.mark.parametrize("key", [key for key in FIELDS if not key.startswith("environment")])
+def test_a_field_changes_its_own_value_and_no_other(key: str) -> None:
+    before = tomllib.loads(PANEL)
+    after = tomllib.loads(with_value(PANEL, key, "17"))
+    assert without(after, key) == without(before, key)
+    table, _, name = key.rpartition(".")
+    assert (after[table] if table else after)[name] in (17, [17], "17")
+
+
+def test_a_table_is_made_an_empty_field_takes_its_key_away_and_a_list_over_lines_is_replaced_whole() -> None:
+    with_air = with_value(PANEL, "environment.air_density_kg_m3", "1.19")
+    assert tomllib.loads(with_air)["environment"] == {"air_density_kg_m3": 1.19}
+    emptied = with_value(PANEL, "measurement.relative_std", "")
+    assert "relative_std" not in tomllib.loads(emptied)["measurement"]
+    text = "[measurement]\nfrequencies_hz = [\n  80.2, # first\n  146.3,\n]\nrelative_std = 0.01\n"
+    after = tomllib.loads(with_value(text, "measurement.frequencies_hz", "90 91"))
+    assert after == {"measurement": {"frequencies_hz": [90, 91], "relative_std": 0.01}}
+
+
+@pytest.mark.parametrize(
+    ("typed", "read"),
+    [
+        ("102, 311; 342", ["102", "311", "342"]),
+        ("102,5 311,2", ["102,5", "311,2"]),
+        ("102.5,311.2,342.1", ["102.5", "311.2", "342.1"]),
+        ("102\n311\r\n342\n", ["102", "311", "342"]),
+        ("1\t102.5\n", ["1", "102.5"]),
+    ],
+)
+def test_pasted_lists_are_read_however_they_are_parted(typed: str, read: list[str]) -> None:
+    assert numbers_in(typed) == read
+
+
+@pytest.mark.parametrize(
+    ("typed", "read"),
+    [
+        *((typed, typed) for typed in ("abc", "1e", "--2", "0x10", '"', "nan", "1 2", "[", "é")),
+        *(("007", 7.0), (".5", 0.5), ("5.", 5.0), ("+3", 3.0), ("1e3", 1000.0), ("3,1", 3.1)),
+    ],
+)
+def test_a_number_as_people_type_it_is_that_number_and_else_kept_as_words(typed: str, read: object) -> None:
+    text = with_value(PANEL, "plate.length_mm", typed)
+    assert tomllib.loads(text)["plate"]["length_mm"] == read
+    pairs = zip(PANEL.split("\n"), text.split("\n"), strict=True)
+    # comments and order stay
+    assert [old.split("#")[1:] == new.split("#")[1:] for old, new in pairs if old != new] == [True]
+
+
+def test_masses_and_the_material_are_replaced_as_a_whole() -> None:
+    one = with_sensors(PANEL, [{"mass_g": "1.2", "x_mm": "3", "y_mm": "4"}])
+    assert tomllib.loads(one)["sensor"] == [{"mass_g": 1.2, "x_mm": 3, "y_mm": 4}]
+    assert tomllib.loads(with_sensors(one, [])) == tomllib.loads(PANEL)
+    other = tomllib.loads(with_block(PANEL, "material", ["E1_GPa = 70.0"]))
+    assert other["material"].pop("E1_GPa") == 70.0
+    assert without(other, "material") == without(tomllib.loads(PANEL), "material")
+
+
+@pytest.mark.parametrize("source", ['recordings = ["hits"]\nrange_hz = [20.0, 900.0]', 'peaks = "peaks.csv"'])
+def test_a_file_that_is_dropped_takes_the_place_of_whatever_the_list_was(source: str) -> None:
+    text = f"[measurement]\n{source}\nleft_out = [2]\nrelative_std = 0.002\n"
+    measured = tomllib.loads(with_file(text, "table", "modes.csv"))["measurement"]
+    assert measured == {"table": "modes.csv", "relative_std": 0.002}

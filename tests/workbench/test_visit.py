@@ -86,7 +86,14 @@ def test_a_plate_is_typed_its_list_pasted_and_the_constants_are_those_of_the_com
     address: str, tmp_path: Path
 ) -> None:
     with open_browser() as browser:
+        browser.visit(address, 390)
+        assert disturbing(browser, 390) == []
+        click(browser, "[data-open=example]")
+        there(browser, "#answer table")
+        assert disturbing(browser, 390) == []
+
         browser.visit(address, 1280)
+        assert disturbing(browser, 1280) == []
         click(browser, "[data-open=blank]")
         there(browser, "#form [data-paste]")
         browser.value(
@@ -108,6 +115,7 @@ def test_a_plate_is_typed_its_list_pasted_and_the_constants_are_those_of_the_com
 
         # at rest: what the command prints, to its digits
         at_rest = text(browser, "#answer .constants")
+        assert disturbing(browser, 1280) == []
         printed = cb.identify(tmp_path / "plate.toml").summary()
         for constant in re.findall(r"^  (E1|nu12)\s+(\S+)", printed, re.MULTILINE):
             assert re.search(rf"{constant[0]}\s+{re.escape(constant[1])}", at_rest)
@@ -132,29 +140,14 @@ def quick_address(tmp_path: Path) -> Iterator[str]:
     thread.join()
 
 
-def test_a_claim_is_seen_drawn_applied_saved_and_reported(quick_address: str, tmp_path: Path) -> None:
-    with open_browser() as browser:
-        browser.visit(quick_address, 390)
-        click(browser, "[data-open=example]")
-        there(browser, "#diagnosis .headline")
-        assert text(browser, "#diagnosis .headline") == "A mass."
-        there(browser, "#drawing .found")
-        click(browser, "[data-edit=apply]")
-        there(browser, "[data-sensor]")
-        click(browser, "[data-act=save]")
-        browser.until("document.getElementById('said').textContent.startsWith('saved as')")
-        stated = tomllib.loads((tmp_path / "example.toml").read_text("utf-8"))["sensor"]
-        assert stated == [{"mass_g": 5.10, "x_mm": 262, "y_mm": 171}]
-        click(browser, "[data-edit=undo]")
-        browser.until("!document.querySelector('[data-sensor]')")
-        click(browser, "[data-act=report]")
-        there(browser, "#tools a[href$=report]")
-        assert browser.console == []
-
-
-def test_a_recording_is_dropped_a_pick_left_out_and_a_peak_added_by_clicks(
+def test_a_claim_is_applied_saved_and_reported_and_picks_of_a_recording_are_changed_by_clicks(
     quick_address: str, tmp_path: Path
 ) -> None:
+    def saved() -> dict[str, Any]:
+        click(browser, "[data-act=save]")
+        browser.until("document.getElementById('said').textContent.startsWith('saved as')")
+        return tomllib.loads((tmp_path / "example.toml").read_text("utf-8"))
+
     def clicked(hz: float) -> None:
         browser.value(
             f"""(() => {{ const at = document.querySelector(".spectrum"), box = at.getBoundingClientRect(),
@@ -166,7 +159,17 @@ def test_a_recording_is_dropped_a_pick_left_out_and_a_peak_added_by_clicks(
     with open_browser() as browser:
         browser.visit(quick_address, 390)
         click(browser, "[data-open=example]")
-        there(browser, "#answer .headline")
+        there(browser, "#diagnosis .headline")
+        assert text(browser, "#diagnosis .headline") == "A mass."
+        there(browser, "#drawing .found")
+        click(browser, "[data-edit=apply]")
+        there(browser, "[data-sensor]")
+        assert saved()["sensor"] == [{"mass_g": 5.10, "x_mm": 262, "y_mm": 171}]
+        click(browser, "[data-edit=undo]")
+        browser.until("!document.querySelector('[data-sensor]')")
+        click(browser, "[data-act=report]")
+        there(browser, "#tools a[href$=report]")
+
         browser.value("""drop(new File(["RIFF"], "tap.wav")) && 1""")
         there(browser, ".spectrum")
         clicked(144.4)
@@ -174,19 +177,7 @@ def test_a_recording_is_dropped_a_pick_left_out_and_a_peak_added_by_clicks(
         clicked(349.0)
         there(browser, ".spectrum .hand")
         assert disturbing(browser, 390) == []
-        click(browser, "[data-act=save]")
-        browser.until("document.getElementById('said').textContent.startsWith('saved as')")
-        measurement = tomllib.loads((tmp_path / "example.toml").read_text("utf-8"))["measurement"]
+        measurement = saved()["measurement"]
         assert measurement["frequencies_hz"] == [76.4, 144.4, 212.6, 350]
         assert (measurement["left_out"], measurement["by_hand"]) == ([2], [4])
         assert browser.console == []
-
-
-@pytest.mark.parametrize("width", [1280, 390])
-def test_nothing_is_wider_than_the_window_and_no_text_is_faint(address: str, width: int) -> None:
-    with open_browser() as browser:
-        browser.visit(address, width)
-        assert disturbing(browser, width) == []
-        click(browser, "[data-open=example]")
-        there(browser, "#answer table")
-        assert disturbing(browser, width) == []
