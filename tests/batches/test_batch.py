@@ -41,10 +41,6 @@ def known(value: T | None) -> T:
     return value
 
 
-def row_alone(described: dict[str, Any]) -> PlateRow:
-    return computed_row("file", cb.identify(described, residuals="relative").estimate)
-
-
 def measured(c_mm: float, g_mm: float, **plate: Any) -> Specimen:
     """A hybrid of 3 mm with plies of these thicknesses."""
     file = hybrid(**plate)
@@ -114,7 +110,7 @@ def test_the_probability_of_a_limit_is_that_of_a_density_cut_at_the_bounds() -> 
 # The control chart
 
 
-def test_the_control_limits_are_those_of_medians() -> None:
+def test_the_control_limits_are_those_of_medians_and_three_standard_deviations() -> None:
     """Flow rates of NIST/SEMATECH e-Handbook of Statistical Methods, 6.3.2.2."""
     flow = [49.6, 47.6, 49.9, 51.3, 47.8, 51.2, 52.6, 52.4, 53.6, 52.1]
     chart = known(control_chart(flow))
@@ -126,12 +122,9 @@ def test_the_control_limits_are_those_of_medians() -> None:
     # two bad ones of nine, side by side: limits from means, 140.9 +- 16.4, would hold one of them
     moduli = [135.2, 137.1, 136.0, 157.0, 158.1, 136.3, 135.5, 136.9, 136.8]
     assert known(control_chart(moduli)).outside == (3, 4)
-
-
-def test_a_normal_process_has_the_handbook_s_limits() -> None:
-    chart = known(control_chart(np.random.default_rng(1).normal(50.0, 2.0, 20_000).tolist()))
-    assert chart.sigma == pytest.approx(2.0, rel=0.03)
-    assert len(chart.outside) / 20_000 == pytest.approx(0.0027, abs=0.0015)
+    normal = known(control_chart(np.random.default_rng(1).normal(50.0, 2.0, 20_000).tolist()))
+    assert normal.sigma == pytest.approx(2.0, rel=0.03)
+    assert len(normal.outside) / 20_000 == pytest.approx(0.0027, abs=0.0015)
 
 
 # Shared models
@@ -161,7 +154,7 @@ def test_plates_of_other_sizes_have_the_constants_that_their_own_models_give() -
             assert found.sd == pytest.approx(alone.sd, rel=0.02)
 
 
-def test_plates_that_differ_by_more_than_sizes_share_nothing() -> None:
+def test_plates_that_differ_by_more_than_sizes_share_no_model_and_no_stored_row() -> None:
     first = plate("first")
     alike = plate("alike", thickness_mm=3.05)
     thick = plate("thick", thickness_mm=3.5)
@@ -170,6 +163,7 @@ def test_plates_that_differ_by_more_than_sizes_share_nothing() -> None:
     specimens = [cb.read_plate(p) for p in (first, thick, alike, clamped, labelled, labelled)]
     plies = [measured(0.25, 0.375), measured(0.25, 0.375, thickness_mm=3.02), measured(0.3, 0.3)]
     assert groups_of([*specimens, *plies]) == [[0, 2], [1], [3], [4], [5], [6, 7], [8]]
+    assert row_key(plies[0], 0, False, "") != row_key(plies[2], 0, False, "")
 
 
 def test_a_carried_list_keeps_its_relative_noise() -> None:
@@ -184,9 +178,11 @@ def test_a_carried_list_keeps_its_relative_noise() -> None:
 # Laplace's approximation
 
 
-def test_the_marginals_are_those_of_the_posterior_integrated_on_a_grid() -> None:
+def test_the_marginals_of_a_row_that_was_stored_are_those_of_the_posterior_on_a_grid() -> None:
     described = with_noise(plate("noisy"), np.random.default_rng(4))
-    row = row_alone(described)
+    computed = computed_row("file", cb.identify(described, residuals="relative").estimate)
+    row = row_of(computed.stored())
+    assert row == computed
     density = cb.posterior(cb.read_plate(described).with_exact_sizes())
     e = np.linspace(64e9, 76e9, 121)
     nu = np.linspace(0.15, 0.45, 121)
@@ -273,12 +269,6 @@ def test_a_stopped_batch_goes_on_with_any_workers_and_a_damaged_row_is_computed_
     assert repaired.from_store == 2
     assert without_store(repaired) == fresh
     assert cb.batch(good[0], store=tmp_path, seed=5).from_store == 0
-
-
-def test_a_row_is_the_same_after_it_was_stored_and_its_key_is_of_its_plies() -> None:
-    row = row_alone(plate("p"))
-    assert row_of(row.stored()) == row
-    assert row_key(measured(0.25, 0.375), 0, False, "") != row_key(measured(0.3, 0.3), 0, False, "")
 
 
 def test_an_error_that_nobody_foresaw_is_a_row_too(monkeypatch: pytest.MonkeyPatch) -> None:

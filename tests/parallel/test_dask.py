@@ -143,27 +143,18 @@ def test_a_worker_without_this_version_is_refused(
             pass
 
 
-def test_a_scheduler_without_workers_is_an_error(tmp_path: Path) -> None:
-    with _scheduler(tmp_path):
+def test_a_scheduler_without_workers_is_an_error_and_one_that_goes_away_ends_the_work(tmp_path: Path) -> None:
+    with _scheduler(tmp_path) as scheduler:
         spec = _spec(tmp_path)
-        with (
-            pytest.raises(ValueError, match=f"the Dask scheduler {spec} has no workers"),
-            open_executor(spec, patience=0.5),
-        ):
+        lacking = pytest.raises(ValueError, match=f"the Dask scheduler {spec} has no workers")
+        with lacking, open_executor(spec, patience=0.5):
             pass
-
-
-def test_a_scheduler_that_goes_away_ends_the_work_with_an_error(tmp_path: Path) -> None:
-    with (
-        _scheduler(tmp_path) as scheduler,
-        _workers(tmp_path, 1),
-        open_executor(_spec(tmp_path), patience=30) as executor,
-    ):
 
         def stop(index: int, result: int) -> None:
             with suppress(ProcessLookupError):  # results that were on their way come after the first
                 os.killpg(scheduler.pid, signal.SIGKILL)
             scheduler.wait()
 
-        with pytest.raises(WorkersLostError, match=r"the Dask scheduler at tcp://127\.0\.0\.1:\d+ is gone"):
+        gone = pytest.raises(WorkersLostError, match=r"the Dask scheduler at tcp://127\.0\.0\.1:\d+ is gone")
+        with _workers(tmp_path, 1), open_executor(spec, patience=30) as executor, gone:
             run(work.square_or_kill, (-1, ""), range(5000), executor, batch_size=1, on_result=stop)

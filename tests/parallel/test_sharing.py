@@ -57,28 +57,21 @@ def executor(request: pytest.FixtureRequest) -> Iterator[Executor | None]:
 
 @pytest.mark.parametrize("batch_size", [None, 1, 4, 100])
 @pytest.mark.parametrize("executor", ["one", "two", "threads"], indirect=True)
-def test_results_are_those_of_the_serial_run_and_each_is_told_once_with_its_index(
+def test_results_are_those_of_the_serial_run_and_each_is_told_once(
     executor: Executor, batch_size: int | None
 ) -> None:
     seeds = list(range(100, 100 + N))
     expected = [work.noisy_norm(MATRIX, seed) for seed in seeds]
+    observations: list[tuple[int, int]] = []
     for where in (None, executor):
         told: list[tuple[int, float]] = []
         asked = (work.noisy_norm, MATRIX, seeds, where)
-        found = run(*asked, batch_size=batch_size, on_result=lambda *pair, told=told: told.append(pair))
-        assert found == expected
+        with observed(lambda *seen: observations.append(seen)):
+            found = run(*asked, batch_size=batch_size, on_result=lambda *pair, told=told: told.append(pair))
+            assert run(work.noisy_norm, MATRIX, [], where) == []
+        assert found == expected == run(*asked)
         assert sorted(told) == list(enumerate(expected))
-
-
-@pytest.mark.parametrize("executor", ["two", "threads"], indirect=True)
-def test_an_observer_is_told_of_all_that_is_shared_out(executor: Executor) -> None:
-    seen: list[tuple[int, int]] = []
-    with observed(lambda done, total: seen.append((done, total))):
-        run(work.noisy_norm, MATRIX, range(3), executor)
-        run(work.noisy_norm, MATRIX, range(2))
-        run(work.noisy_norm, MATRIX, ())
-    run(work.noisy_norm, MATRIX, range(3), executor)
-    assert seen == [(0, 3), (1, 3), (2, 3), (3, 3), (0, 2), (1, 2), (2, 2)]
+    assert observations == 2 * [(done, N) for done in range(N + 1)]
 
 
 def test_memory_layout_does_not_tell_the_serial_run_from_a_shared_one(two: Executor) -> None:
@@ -90,23 +83,13 @@ def test_memory_layout_does_not_tell_the_serial_run_from_a_shared_one(two: Execu
         assert np.array_equal(here, run(operator.matmul, shared, items, two))
 
 
-def test_a_serial_run_leaves_its_items_as_they_were_and_takes_what_cannot_be_pickled(two: Executor) -> None:
+def test_a_serial_run_leaves_its_items_as_they_were_and_takes_what_cannot_be_pickled() -> None:
     def drawn(shared: None, item: np.random.Generator) -> float:
         return float(item.normal())
 
     items = [np.random.default_rng(i) for i in range(3)]
     assert run(drawn, None, items) == run(drawn, None, items)
     assert run(lambda shared, item: shared(item), lambda x: x + 1, [1, 2]) == [2, 3]
-    assert run(work.noisy_norm, MATRIX, [], two) == run(work.noisy_norm, MATRIX, []) == []
-
-
-def test_the_shared_object_is_restored_once_in_each_process(tmp_path: Path, two: Executor) -> None:
-    log, pipe = tmp_path / "log", tmp_path / "pipe"
-    os.mkfifo(pipe)
-    found = run(work.meeting, work.Counted(str(pipe), str(log)), range(N), two, batch_size=1)
-    processes = {str(process) for _, process in found}
-    assert len(processes) == 2
-    assert sorted(work.lines(log)) == sorted(processes)
 
 
 def test_a_worker_keeps_the_shared_object_of_the_current_call_only(one: Executor) -> None:
@@ -116,7 +99,7 @@ def test_a_worker_keeps_the_shared_object_of_the_current_call_only(one: Executor
 
 
 @pytest.mark.parametrize("executor", ["two", "threads"], indirect=True)
-def test_a_worker_that_lacks_the_file_gets_the_shared_object_with_a_batch(
+def test_a_worker_that_lacks_the_file_gets_the_shared_object_with_a_batch_and_restores_it_once(
     tmp_path: Path, executor: Executor
 ) -> None:
     class Elsewhere(Executor):
@@ -129,8 +112,7 @@ def test_a_worker_that_lacks_the_file_gets_the_shared_object_with_a_batch(
             return executor.submit(fn, *args, **kwargs)
 
     log = tmp_path / "log"
-    found = run(work.meeting, work.Counted("", str(log)), range(N), Elsewhere(), batch_size=1)
-    assert [item for item, _ in found] == list(range(N))
+    assert run(work.item_of, work.Counted(0, str(log)), range(N), Elsewhere(), batch_size=1) == list(range(N))
     assert len(work.lines(log)) == len(set(work.lines(log))) <= 2
 
 
@@ -192,18 +174,19 @@ def test_an_error_of_the_work_comes_as_it_is_with_its_item_and_stops_the_rest(
         # at most those that were waiting in the queue of the executor
         assert "12" in work.lines(log)
         assert len(work.lines(log)) < 20
-
-
-def test_an_error_of_the_work_shows_where_in_the_worker_it_was_raised(tmp_path: Path, one: Executor) -> None:
-    with pytest.raises(LookupError) as caught:
-        run(work.fail_at, (0, str(tmp_path / "log"), ""), [0], one)
-    assert "in fail_at" in caught.value.__notes__[0]
+    assert "in fail_at" in caught.value.__notes__[0]  # where in the worker
     with pytest.raises(RuntimeError, match="OddError: odd indeed"):  # which cannot be pickled
-        run(work.fail_oddly, None, [0], one)
+        run(work.fail_oddly, None, [0], executor)
 
 
-@pytest.mark.parametrize("first", [TypeError("cannot pickle"), OSError("disk full")])
-def test_what_waits_is_cancelled_when_sending_or_the_caller_fails(first: Exception) -> None:
+@pytest.mark.parametrize(
+    ("first", "notes"),
+    [
+        (TypeError("cannot pickle"), ["It was raised while sending items 0 to 1."]),
+        (OSError("disk full"), []),
+    ],
+)
+def test_what_waits_is_cancelled_when_sending_or_the_caller_fails(first: Exception, notes: list[str]) -> None:
     class Waiting(Executor):
         """Does nothing but the first batch: it is not sent, or its result is what the caller fails with."""
 
@@ -217,15 +200,16 @@ def test_what_waits_is_cancelled_when_sending_or_the_caller_fails(first: Excepti
             if len(self.futures) == 1 and isinstance(first, TypeError):
                 self.futures[0].set_exception(first)
             elif len(self.futures) == 1:
-                self.futures[0].set_result(Outcome((first,)))
+                self.futures[0].set_result(Outcome((first, first)))
             return self.futures[-1]
 
     def fail(index: int, result: Exception) -> None:
         raise result
 
     executor = Waiting()
-    with pytest.raises(type(first), match=str(first)):
-        run(work.noisy_norm, MATRIX, range(N), executor, on_result=fail)
+    with pytest.raises(type(first), match=str(first)) as caught:
+        run(work.noisy_norm, MATRIX, range(N), executor, batch_size=2, on_result=fail)
+    assert getattr(caught.value, "__notes__", []) == notes
     assert len(executor.futures) > 1
     assert all(future.cancelled() for future in executor.futures[1:])
 
@@ -235,19 +219,6 @@ def test_a_worker_of_another_version_and_a_batch_without_items_are_refused() -> 
         work_through(work.noisy_norm, Ticket("", version="0.0.0"), pickle.dumps([1]))
     with pytest.raises(ValueError, match="batch_size: received 0, accepted: 1 or more"):
         run(work.noisy_norm, MATRIX, [1], batch_size=0)
-
-
-def test_work_that_cannot_be_sent_is_said_with_its_items(two: Executor) -> None:
-    with pytest.raises((AttributeError, pickle.PicklingError)) as caught:
-        run(lambda shared, item: item, None, [1, 2], two, batch_size=2)
-    assert "items 0 to 1" in caught.value.__notes__[-1]
-
-
-def test_blas_has_one_thread_in_workers(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        monkeypatch.setenv(name, "2")
-    with open_executor(processes=1) as executor:
-        assert run(work.blas_threads, MATRIX, range(2), executor) == [1, 1]
 
 
 def test_blas_has_one_thread_here_and_in_any_worker_and_all_of_its_own_after_them() -> None:
@@ -402,15 +373,9 @@ def test_an_address_with_tls_reaches_dask_with_tls(monkeypatch: pytest.MonkeyPat
     assert asked == ["tls://[::1]:8786"]
 
 
-def test_the_number_of_workers_is_what_the_executor_says_and_serial_work_has_none() -> None:
-    with (
-        ThreadPoolExecutor(3) as threads,
-        open_executor(processes=2) as pool,
-        open_executor("serial") as none,
-    ):
-        assert executors.workers_of(threads) == 3
-        assert pool is not None
-        assert executors.workers_of(pool) == 2
+def test_the_number_of_workers_is_what_the_executor_says_and_serial_work_has_none(two: Executor) -> None:
+    with ThreadPoolExecutor(3) as threads, open_executor("serial") as none:
+        assert [executors.workers_of(each) for each in (threads, two)] == [3, 2]
         assert none is None
 
 

@@ -86,13 +86,20 @@ def test_an_error_stands_at_its_field_in_the_words_of_the_package(client: TestCl
     assert "error:plate.length_mm" not in parts
 
 
-def test_the_command_that_is_shown_is_of_the_file_that_is_saved(client: TestClient, folder: Path) -> None:
-    visit = opened(client, example=True)
+def test_what_is_saved_is_what_the_command_reads_and_not_over_what_another_program_wrote(
+    client: TestClient, folder: Path
+) -> None:
+    visit, path = opened(client, example=True), folder / "example.toml"
     edit(client, visit, do="set", key="plate.mass_g", value="341.5")
     said = client.post(f"{visit}/act", json={"do": "save"}, headers=POSTED).json()
     assert said["said"] == "saved as example.toml"
     assert "cpam-bayes identify example.toml" in said["parts"]["tools"]
-    assert tomllib.loads((folder / "example.toml").read_text("utf-8"))["plate"]["mass_g"] == 341.5
+    assert tomllib.loads(path.read_text("utf-8"))["plate"]["mass_g"] == 341.5
+    path.write_text("name = 'by hand'\n", "utf-8")
+    answer = client.post(f"{visit}/act", json={"do": "save"}, headers=POSTED)
+    assert answer.status_code == 400
+    assert "changed by another program" in answer.json()["error"]
+    assert path.read_text("utf-8") == "name = 'by hand'\n"
 
 
 def drop(client: TestClient, visit: str, name: str, content: bytes) -> dict[str, Any]:
@@ -199,15 +206,6 @@ def test_two_browsers_on_one_plate_do_not_mix_and_a_killed_server_loses_nothing(
         assert text_of(again, visit) == kept
         edit(again, visit, do="undo")
         assert text_of(again, visit) == before
-
-
-def test_a_file_that_another_program_changed_is_not_written_over(client: TestClient, folder: Path) -> None:
-    visit = opened(client, file="panel.toml")
-    (folder / "panel.toml").write_text("name = 'by hand'\n", "utf-8")
-    answer = client.post(f"{visit}/act", json={"do": "save"}, headers=POSTED)
-    assert answer.status_code == 400
-    assert "changed by another program" in answer.json()["error"]
-    assert (folder / "panel.toml").read_text("utf-8") == "name = 'by hand'\n"
 
 
 def test_pages_explain_themselves_and_hold_nothing_but_style_script_and_plates_of_the_folder(
