@@ -29,10 +29,9 @@ def plate(name: str, e1: float = 70.0, nu12: float = 0.33, **sizes: float) -> di
 
 def with_noise(described: Mapping[str, Any], rng: np.random.Generator, std: float = 0.002) -> dict[str, Any]:
     """The plate with a noisy list."""
-    measured = dict(described["measurement"])
-    f = np.array(measured["frequencies_hz"])
-    measured["frequencies_hz"] = (f * (1.0 + std * rng.standard_normal(len(f)))).tolist()
-    return {**described, "measurement": measured}
+    f = np.array(described["measurement"]["frequencies_hz"])
+    noisy = (f * (1.0 + std * rng.standard_normal(len(f)))).tolist()
+    return {**described, "measurement": {**described["measurement"], "frequencies_hz": noisy}}
 
 
 def exact(described: Mapping[str, Any]) -> dict[str, Any]:

@@ -10,7 +10,6 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import nullcontext
 from multiprocessing import get_context
 from pathlib import Path
 from types import SimpleNamespace
@@ -136,28 +135,21 @@ def test_an_item_that_kills_every_worker_is_named_once_all_others_are_done() -> 
     assert told == {item: item * item for item in range(6) if item != 3}
 
 
-@pytest.mark.parametrize("losses", [1, 3, 4])
-def test_what_the_scheduler_of_dask_gives_up_is_sent_again_three_times(losses: int) -> None:
+def test_what_the_scheduler_of_dask_gives_up_is_sent_again_three_times() -> None:
     def die(*_: object) -> None:
         raise distributed.KilledWorker("task", SimpleNamespace(address="tcp://worker"), 3)
 
     class Unlucky(ThreadPoolExecutor):
-        """The workers that get the batch of item 2 die, at first."""
-
-        deaths = 0
+        """The workers that get the batch of item 2 die."""
 
         def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-            is_lost = pickle.loads(args[2]) == [2] and self.deaths < losses
-            self.deaths += is_lost
-            return super().submit(die if is_lost else fn, *args, **kwargs)
+            return super().submit(die if pickle.loads(args[2]) == [2] else fn, *args, **kwargs)
 
     told: dict[int, int] = {}
-    with Unlucky(2) as executor:
-        lost = pytest.raises(WorkersLostError, match=r"items 2 to 2 of 6 .* lost 4 times .*KilledWorker")
-        with lost if losses > 3 else nullcontext():
-            run(work.square_or_kill, (-1, ""), range(6), executor, batch_size=1, on_result=told.__setitem__)
-        assert told == {item: item * item for item in range(6) if losses <= 3 or item != 2}
-        assert executor.deaths == losses
+    lost = pytest.raises(WorkersLostError, match=r"items 2 to 2 of 6 .* lost 4 times .*KilledWorker")
+    with Unlucky(2) as executor, lost:
+        run(work.square_or_kill, (-1, ""), range(6), executor, batch_size=1, on_result=told.__setitem__)
+    assert told == {item: item * item for item in range(6) if item != 2}
 
 
 @pytest.mark.parametrize("executor", ["two", "threads"], indirect=True)

@@ -29,8 +29,6 @@ from tests.quick_page import EXAMPLE, desk_of, echo
 TOKEN, PORT = "the-token-of-this-page", 8377
 HERE = f"http://127.0.0.1:{PORT}"
 POSTED = {"Origin": HERE}
-
-
 JSON = {"Content-Type": "application/json"}
 
 
@@ -102,17 +100,12 @@ def test_what_is_saved_is_what_the_command_reads_and_not_over_what_another_progr
     assert path.read_text("utf-8") == "name = 'by hand'\n"
 
 
-def drop(client: TestClient, visit: str, name: str, content: bytes) -> dict[str, Any]:
-    answer = client.post(f"{visit}/file", **dropped(name, content))
-    assert answer.status_code == 200, answer.text
-    return answer.json()
-
-
 def test_a_table_that_is_dropped_is_the_list_and_its_rows_can_be_left_out(
     client: TestClient, folder: Path
 ) -> None:
     visit = opened(client, file="panel.toml")
-    said = drop(client, visit, "modes.csv", b"mode,hz,sd\n1,80.2,0.1\n2,146.3,0.2\n3,218.6,0.2\n")
+    table = b"mode,hz,sd\n1,80.2,0.1\n2,146.3,0.2\n3,218.6,0.2\n"
+    said = client.post(f"{visit}/file", **dropped("modes.csv", table)).json()
     assert 'value="218.6"' in said["parts"]["form"]
     edit(client, visit, do="leave", index=2, value=True)
     measurement = tomllib.loads(text_of(client, visit))["measurement"]
@@ -127,7 +120,7 @@ def test_a_table_that_is_dropped_is_the_list_and_its_rows_can_be_left_out(
 
 def test_picks_of_a_recording_are_left_out_added_and_logged(client: TestClient) -> None:
     visit = opened(client, file="panel.toml")
-    drop(client, visit, "tap.wav", b"RIFF")
+    assert client.post(f"{visit}/file", **dropped("tap.wav", b"RIFF")).status_code == 200
     assert 'data-low="50"' in news(client, visit, 'class="spectrum"')["parts"]["spectrum"]
     edit(client, visit, do="peak", value=144.5)  # at a pick: left out
     edit(client, visit, do="peak", value=349.0)  # between picks: the highest line near, added
@@ -153,12 +146,7 @@ def test_where_to_hold_and_hit_stands_on_the_page_before_there_are_frequencies(c
 
 def test_the_plates_of_the_folder_are_listed_with_the_table_of_batch(client: TestClient) -> None:
     assert client.post("/folder/act", json={"do": "batch"}, headers=POSTED).status_code == 200
-    seen = -1
-    while (
-        'class="n">136.6' not in (said := client.get(f"/folder/news?seen={seen}").json())["parts"]["plates"]
-    ):
-        seen = said["version"]
-    assert 'data-open="panel.toml"' in said["parts"]["plates"]
+    assert 'data-open="panel.toml"' in news(client, "/folder", 'class="n">136.6')["parts"]["plates"]
 
 
 def test_a_report_is_taken_away_as_page_workbook_and_json(client: TestClient) -> None:
@@ -231,8 +219,6 @@ HOSTILE = (
     "x" * 30_000, "\\\\host\\share.toml", ".toml", "", None, -1, 1e308, [], {}, [[[]]], True,
     "<script>alert(1)</script>", "\x1b[2J", "C:panel.toml",
 )  # fmt: skip
-
-
 HOSTS = ("evil.example", "127.0.0.1:80", "127.0.0.1.evil.example:8377", "[::1]:8377", "")
 ORIGINS = ("http://evil.example", "null", "https://127.0.0.1:8377", "http://127.0.0.1:80")
 BODIES = (b"[" * 70_000, b'{"do": "set"}' + b" " * 70_000, b"\xff\xfe", b"[" * 5000, b'"x"')

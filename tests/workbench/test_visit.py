@@ -27,7 +27,6 @@ SIZES = {
     "plate.thickness_mm": "3",
     "plate.mass_g": "510.3",
 }
-FORGOTTEN = {"mass_g": 12.0, "x_mm": 250.0, "y_mm": 160.0}
 
 
 @pytest.fixture
@@ -53,7 +52,7 @@ def frequencies() -> list[float]:
         "name": "tapped",
         "plate": {**sizes, "edges": "FFFF"},
         "material": {"isotropic": True, "E1_GPa": 70.0, "nu12": 0.335},
-        "sensor": [FORGOTTEN],
+        "sensor": [{"mass_g": 12.0, "x_mm": 250.0, "y_mm": 160.0}],
         "environment": {"air_density_kg_m3": 1.2},
     }
     modes = cb.forward(plate, 10)
