@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from concurrent.futures import Executor
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
@@ -75,19 +74,13 @@ def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def spec(directory: Path) -> Iterator[str]:
     with _scheduler(directory), _workers(directory, 2):
+        with _client(directory) as client:
+            client.wait_for_workers(2, timeout=120)
         yield _spec(directory)
 
 
-@pytest.fixture
-def cluster(spec: str, directory: Path) -> Iterator[Executor | None]:
-    with _client(directory) as client:  # one may have been killed by the test before
-        client.wait_for_workers(2, timeout=120)
-    with open_executor(spec) as executor:
-        yield executor
-
-
 def test_the_posterior_of_a_plate_is_the_same_bit_for_bit_when_a_worker_is_killed_too(
-    cluster: Executor, tmp_path: Path
+    spec: str, tmp_path: Path
 ) -> None:
     specimen = read_specimen("C1")
     model = reduced_model(specimen, specimen.unknowns, specimen.measurement.size)
@@ -100,23 +93,21 @@ def test_the_posterior_of_a_plate_is_the_same_bit_for_bit_when_a_worker_is_kille
     counted, flag = work.Counted(0, str(tmp_path / "log")), tmp_path / "killed"
     here = run(work.log_probabilities, (posterior, counted, ""), SEEDS)
     assert all(np.isfinite(found).any() for found in here)
-    for batch_size in (1, 5, None):
-        log = tmp_path / f"log {batch_size}"
-        shared = (posterior, work.Counted(0, str(log)), "")
-        there = run(work.log_probabilities, shared, SEEDS, cluster, batch_size=batch_size)
-        assert np.array_equal(values(here), values(there))
-        assert all(found.flags.writeable for found in there)  # as those of a serial run
-        processes = {f"{found[-1]:.0f}" for found in there}
-        assert str(os.getpid()) not in processes
-        assert sorted(work.lines(log)) == sorted(processes)
-    there = run(work.log_probabilities, (posterior, counted, str(flag)), SEEDS, cluster, batch_size=4)
+    with open_executor(spec) as cluster:
+        for batch_size in (1, 5, None):
+            log = tmp_path / f"log {batch_size}"
+            shared = (posterior, work.Counted(0, str(log)), "")
+            there = run(work.log_probabilities, shared, SEEDS, cluster, batch_size=batch_size)
+            assert np.array_equal(values(here), values(there))
+            assert all(found.flags.writeable for found in there)  # as those of a serial run
+            processes = {f"{found[-1]:.0f}" for found in there}
+            assert str(os.getpid()) not in processes
+            assert sorted(work.lines(log)) == sorted(processes)
+        # the workers have no main module of this program, nor what a function defines
+        assert run(lambda shared, item: shared(item), lambda x: x + 1, [1, 2], cluster) == [2, 3]
+        there = run(work.log_probabilities, (posterior, counted, str(flag)), SEEDS, cluster, batch_size=4)
     assert flag.exists()
     assert np.array_equal(values(here), values(there))
-
-
-def test_work_of_the_main_module_is_sent_by_value(cluster: Executor) -> None:
-    # the workers have no main module of this program, nor what a function defines
-    assert run(lambda shared, item: shared(item), lambda x: x + 1, [1, 2], cluster) == [2, 3]
 
 
 @pytest.mark.parametrize(
