@@ -78,6 +78,7 @@ def test_the_plain_solver_has_the_plate_and_its_two_forms_agree_for_plies_along_
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_a_small_run_of_samplers_has_the_documented_keys() -> None:
     results = samplers.run(quick=True)
     keys, row_keys = documented("samplers.py")

@@ -23,14 +23,23 @@ from tests.test_studies import script
 PROJECT = Path(__file__).parent.parent
 DOCS = PROJECT / "docs"
 PAGES = sorted([*PROJECT.glob("docs/*.md"), PROJECT / "README.md"])
-# Pages whose examples take more than some seconds, and one that runs CalculiX.
+# Pages whose examples take more than five seconds, those that take more than thirty, and one that runs CalculiX.
 SLOW = {
-    *("README.md", "cluster.md", "effects.md", "laboratory.md", "library.md", "many_plates.md"),
-    *("mode_shapes.md", "other_plates.md", "priors.md", "repeats.md", "sensors.md", "hybrids.md"),
-    *("sensitivity.md", "several_plates.md", "tutorial.md"),
+    *("README.md", "effects.md", "many_plates.md", "mode_shapes.md", "priors.md", "repeats.md"),
+    *("hybrids.md", "several_plates.md"),
+}
+LONG = {
+    "cluster.md",
+    "laboratory.md",
+    "library.md",
+    "other_plates.md",
+    "sensitivity.md",
+    "sensors.md",
+    "tutorial.md",
 }
 MARKS = {name: [pytest.mark.slow] for name in SLOW}
-MARKS |= {"calculix_abaqus.md": [pytest.mark.needs_ccx, pytest.mark.slow]}
+MARKS |= {name: [pytest.mark.slow, pytest.mark.weekly] for name in LONG}
+MARKS |= {"calculix_abaqus.md": [pytest.mark.needs_ccx, pytest.mark.slow, pytest.mark.weekly]}
 WITH_EXAMPLES = [
     pytest.param(page, marks=MARKS.get(page.name, []), id=page.stem)
     for page in PAGES
@@ -142,7 +151,10 @@ def test_three_notebooks_are_saved_with_results_figures_and_no_errors() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(p, marks=[pytest.mark.weekly] if "hidden" in p.stem else [], id=p.stem) for p in NOTEBOOKS],
+)
 def test_a_notebook_runs_and_shows_what_it_is_saved_with(path: Path) -> None:
     saved, executed = (
         [(cell.source, [out.output_type for out in cell.outputs]) for cell in code_cells(notebook)]

@@ -14,7 +14,7 @@ from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 from PIL import Image
 
-from tests.test_studies import PROJECT, SAVED, listed, quick_text
+from tests.test_studies import PROJECT, SAVED, listed, quick_text, weekly_if_long
 
 FIGURES = PROJECT / "figures"
 QUICKLY_DRAWN = "20_swarms"
@@ -51,15 +51,8 @@ def drawn_by(name: str) -> set[str]:
     return {path.stem for path in captions if said in path.read_text(encoding="utf-8")}
 
 
-# Studies whose smallest run takes more than 18 s.
-LONGEST = (*("14_sequence_reference", "15_claims", "21_hard_use", "23_growth", "27_coins"),)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=[pytest.mark.weekly] if name in LONGEST else []) for name in draw.NAMES],
-)
+@pytest.mark.parametrize("name", weekly_if_long(draw.NAMES))
 def test_a_figure_is_drawn_from_a_small_run(name: str, tmp_path: Path) -> None:
     drawing = draw.drawing(name)
     (tmp_path / f"{drawing.study}.json").write_text(quick_text(drawing.study), encoding="utf-8")

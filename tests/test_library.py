@@ -345,8 +345,10 @@ def test_saving_writes_the_files_of_the_command(point: PointResult, tmp_path: Pa
 
 # The same calls with other seeds, which other tests make, are marked weekly.
 MARKS = {
-    **dict.fromkeys(("diagnose", "sample", "sequence"), (pytest.mark.slow,)),
-    **dict.fromkeys(("calibrate", "report", "sensitivity"), (pytest.mark.slow, pytest.mark.weekly)),
+    "sample": (pytest.mark.slow,),
+    **dict.fromkeys(
+        ("calibrate", "diagnose", "report", "sensitivity", "sequence"), (pytest.mark.slow, pytest.mark.weekly)
+    ),
 }
 
 

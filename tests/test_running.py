@@ -165,7 +165,7 @@ class Told:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("done", [2, 4])
+@pytest.mark.parametrize("done", [2, pytest.param(4, marks=pytest.mark.weekly)])
 def test_a_noise_study_has_the_groups_that_were_inverted(done: int, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: dict[str, Any] = {"levels": [0.01, 0.05], "groups": 4, "readings": ["rms"]}
     asked |= {"settings": SWARM, "chains": CHAINS}

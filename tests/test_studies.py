@@ -4,6 +4,7 @@ import importlib.util
 import itertools
 import json
 import re
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from _pytest.mark.structures import ParameterSet
 
 from tests.shared import once_a_run
 
@@ -46,14 +48,21 @@ def saved(name: str) -> dict[str, Any]:
     return dict(json.loads((SAVED / f"{name}.json").read_text(encoding="utf-8")))
 
 
-# Long ones that are tested in parts: claims, hostile files and growth have files of tests of their own.
-IN_PARTS = ("15_claims", "21_hard_use", "23_growth")
+# Studies whose smallest run takes more than ten seconds of a processor.
+LONG = {
+    *("05_calibration", "07_fpso", "08_sequences", "09_sequence_coverage", "12_findings"),
+    *("14_sequence_reference", "15_claims", "21_hard_use", "23_growth", "24_nested_evidence"),
+    *("26_slips", "27_coins", "29_recordings"),
+}
+
+
+def weekly_if_long(names: Iterable[str]) -> list[ParameterSet]:
+    """Studies, the long ones marked."""
+    return [pytest.param(name, marks=[pytest.mark.weekly] if name in LONG else []) for name in names]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.weekly] if name in IN_PARTS else []) for name in STUDIES]
-)
+@pytest.mark.parametrize("name", weekly_if_long(STUDIES))
 def test_a_small_run_has_the_documented_keys(name: str) -> None:
     found = quick(name)
     assert list(found) == list(script("studies", name).KEYS)

@@ -403,6 +403,7 @@ def test_copies_are_named_and_a_plate_that_misfits_is_diagnosed_unasked_and_kept
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_a_batch_with_diagnosis_has_the_claims_of_diagnose() -> None:
     quiet = with_noise(plate("quiet"), np.random.default_rng(1))
     swapped = plate("misread")

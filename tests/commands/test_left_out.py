@@ -63,6 +63,7 @@ def test_diagnose_leads_with_it_in_exact_frequencies(loaded: np.ndarray) -> None
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_diagnose_is_not_calm_about_it_in_noise(loaded: np.ndarray) -> None:
     noise = 0.006 * np.random.default_rng(4).standard_normal(len(loaded))
     found = cb.diagnose(without_sensor(loaded * (1.0 + noise)), next_test="never")

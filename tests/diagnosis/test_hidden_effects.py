@@ -58,14 +58,18 @@ SUPPORTED = replace(FREE, name="supported", plate=replace(FREE.plate, edges="SSS
 PLATES = {plate.name: plate for plate in (FREE, CLAMPED, THICK, SUPPORTED)}
 
 
+# Of a test that `.ci/run` runs too.
+SLOW = (pytest.mark.slow,)
+
+
 @dataclass(frozen=True, slots=True)
 class Case:
     """One list: the cause, the plate, and its size in SI with a place, or else what makes the list.
 
     true : what the drawn plate is really. on_list : what was written of its frequencies
     missed, complete : modes that the list lacks, and what the file says
-    quick : whether it is run by default. sets : whether several causes at once are weighed too.
-    weekly : whether another case of its kind is enough for `.ci/run`.
+    sets : whether several causes at once are weighed too
+    marks : who runs it: all if there are none, `.ci/run` too if slow, the weekly run alone as it stands here.
     """
 
     cause: str
@@ -76,9 +80,8 @@ class Case:
     on_list: Callable[[TruePlate, Array], Array] = lambda own, f: f
     missed: tuple[int, ...] = ()
     complete: bool = True
-    quick: bool = False
     sets: bool = False
-    weekly: bool = False
+    marks: tuple[pytest.MarkDecorator, ...] = (pytest.mark.slow, pytest.mark.weekly)
 
     def listed(self) -> tuple[str, Truth]:
         """The plate's file and the truth."""
@@ -110,52 +113,50 @@ def _misread(factors: dict[int, float]) -> Callable[[TruePlate, Array], Array]:
 _PATCH: Aux = {"form": "smooth", "x": 0.463, "y": 0.527, "half": [0.071 * 0.193 / 0.271, 0.071]}
 # What frequencies can show, at sizes and places that no grid has.
 SHOWN = (
-    Case("sensor_mass", FREE, 0.031, {"x": 0.8437, "y": 0.2362}, quick=True),
-    Case("sensor_mass", FREE, 0.031, {"x": 0.8437, "y": 0.2362}, missed=(4,), complete=False, weekly=True),
+    Case("sensor_mass", FREE, 0.031, {"x": 0.8437, "y": 0.2362}, marks=()),
+    Case("sensor_mass", FREE, 0.031, {"x": 0.8437, "y": 0.2362}, missed=(4,), complete=False),
     # a strip along x = 0 of 1.7 % of the plate's mass
-    Case("edge_mass", FREE, true=lambda p: {"strips": (("x0", 0.017 * p.total_mass),)}, weekly=True),
-    Case("support", FREE, 34.0, weekly=True),
+    Case("edge_mass", FREE, true=lambda p: {"strips": (("x0", 0.017 * p.total_mass),)}),
+    Case("support", FREE, 34.0),
     # springs of pi^4 D / (2 c a^3), c = 0.037, along the four edges
-    Case("soft_support", SUPPORTED, true=lambda p: {"shift": 0.037 * 2.0 / np.pi**4}, weekly=True),
-    Case("length", FREE, 0.0171, sets=True),
-    Case("width", FREE, -0.0233, weekly=True),
-    Case("taper_x", FREE, -0.137, weekly=True),
-    Case("taper_y", FREE, 0.163, weekly=True),
-    Case("skew", FREE, 6.3, weekly=True),
+    Case("soft_support", SUPPORTED, true=lambda p: {"shift": 0.037 * 2.0 / np.pi**4}),
+    Case("length", FREE, 0.0171, sets=True, marks=SLOW),
+    Case("width", FREE, -0.0233),
+    Case("taper_x", FREE, -0.137),
+    Case("taper_y", FREE, 0.163),
+    Case("skew", FREE, 6.3),
     Case("warp", FREE, 1.31e-3),
-    Case("membrane_stress", FREE, 4.7e6, weekly=True),
-    Case("outline", FREE, 0.087, {"form": "rectangle", "x": 1.0, "y": 0.0, "ratio": 1.18}, weekly=True),
-    Case("damage", FREE, 0.77, _PATCH),
+    Case("membrane_stress", FREE, 4.7e6),
+    Case("outline", FREE, 0.087, {"form": "rectangle", "x": 1.0, "y": 0.0, "ratio": 1.18}),
+    Case("damage", FREE, 0.77, _PATCH, marks=SLOW),
     Case("viscoelastic", FREE, 0.037),
-    Case("mode_identity", FREE, missed=(4,)),
-    Case("outlier", FREE, on_list=_misread({5: 1.043}), quick=True),
+    Case("mode_identity", FREE, missed=(4,), marks=SLOW),
+    Case("outlier", FREE, on_list=_misread({5: 1.043}), marks=()),
     Case("clamp_rotation", CLAMPED, 0.071),
-    Case("clamp_translation", CLAMPED, 0.0063, sets=True, weekly=True),
-    Case("soft_clamp", CLAMPED, 2.3, {"ratio": 1.55}, weekly=True),
-    Case("clamp_slip", CLAMPED, 0.13, weekly=True),
-    Case("clamp_length", CLAMPED, 4.1e-3, weekly=True),
-    Case("misorientation", THICK, 8.3, sets=True, weekly=True),
-    Case("outer_ply_angle", THICK, 17.0, weekly=True),
-    Case("inner_ply_angle", THICK, 63.0, weekly=True),
+    Case("clamp_translation", CLAMPED, 0.0063, sets=True),
+    Case("soft_clamp", CLAMPED, 2.3, {"ratio": 1.55}),
+    Case("clamp_slip", CLAMPED, 0.13),
+    Case("clamp_length", CLAMPED, 4.1e-3),
+    Case("misorientation", THICK, 8.3, sets=True),
+    Case("outer_ply_angle", THICK, 17.0),
+    Case("inner_ply_angle", THICK, 63.0),
     # the third ply from the bottom was forgotten; the others fill the gauged thickness
     Case("layup", THICK, true=lambda p: {"angles_deg": p.angles_deg[:2] + p.angles_deg[3:]}, sets=True),
     # the file's length is the plate's width, and the other way round
-    Case(
-        "swapped_sides", THICK, true=lambda p: {"length": p.width, "width": p.length}, sets=True, weekly=True
-    ),
-    Case("transverse_shear", THICK, -0.87, weekly=True),
+    Case("swapped_sides", THICK, true=lambda p: {"length": p.width, "width": p.length}, sets=True),
+    Case("transverse_shear", THICK, -0.87),
     # E1 is less by 45 % and E2 more by 60 %, each with 10 % in the file
-    Case("material", THICK, true=lambda p: {"constants": {**p.constants, **_OTHER_CARBON}}, weekly=True),
+    Case("material", THICK, true=lambda p: {"constants": {**p.constants, **_OTHER_CARBON}}),
 )
 # Half the ratio that is assumed, the least that is possible: what these frequencies show and do not decide.
 OPEN = Case("shear_ratio", THICK, -0.49)
 # What the constants imitate: thin plates have nothing else that moves their modes alike.
 ABSORBED = (
-    Case("air", FREE, 1.2, on_list=_in_air, weekly=True),
-    Case("thickness", FREE, 0.027),
-    Case("density", FREE, -0.034, weekly=True),
-    Case("frequency_scale", FREE, 0.0083, weekly=True),
-    Case("resin_skin", THICK, 8.3e-5, weekly=True),
+    Case("air", FREE, 1.2, on_list=_in_air),
+    Case("thickness", FREE, 0.027, marks=SLOW),
+    Case("density", FREE, -0.034),
+    Case("frequency_scale", FREE, 0.0083),
+    Case("resin_skin", THICK, 8.3e-5),
 )
 
 
@@ -171,13 +172,12 @@ def _diagnosed(
 
 
 def _marked(cases: tuple[Case, ...]) -> list[object]:
-    """As parameters of a test; all but the quick ones are slow."""
-    slow, weekly = [pytest.mark.slow], [pytest.mark.slow, pytest.mark.weekly]
+    """As parameters of a test."""
     return [
         pytest.param(
             case,
             id=case.cause if case.complete else f"{case.cause}, incomplete",
-            marks=[] if case.quick else weekly if case.weekly else slow,
+            marks=case.marks,
         )
         for case in cases
     ]
@@ -211,6 +211,7 @@ def test_two_misread_frequencies_are_claimed_at_once() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_a_shear_ratio_within_its_limits_is_left_open_and_leads() -> None:
     found = _diagnosed(OPEN)
     assert found.claim in ("undecided", "class")
@@ -232,7 +233,7 @@ def test_what_the_constants_imitate_is_not_claimed_and_is_said_to_be_unseen(case
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "plate",
-    [pytest.param(p, marks=[pytest.mark.weekly] if p is CLAMPED else []) for p in PLATES.values()],
+    [pytest.param(p, marks=[] if p is FREE else [pytest.mark.weekly]) for p in PLATES.values()],
     ids=PLATES,
 )
 def test_nothing_is_claimed_of_a_plate_without_a_flaw(plate: NominalPlate) -> None:
@@ -348,6 +349,7 @@ def test_an_added_mass_on_a_hybrid_is_found_with_its_size_and_place() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_of_a_hybrid_with_nothing_wrong_nothing_is_claimed() -> None:
     result = diagnosed_hybrid()
     assert result.claim in ("none", "undecided")

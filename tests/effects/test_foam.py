@@ -119,6 +119,7 @@ def found() -> DiagnosisResult:
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_it_or_its_class_is_claimed_where_it_is_hidden() -> None:
     assert found().claim in ("named", "class")
     assert found().causes[0] == "foam"

@@ -164,6 +164,7 @@ def check(found: tuple[Repetition, ...]) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_sampled_posteriors_of_a_linear_model_are_calibrated() -> None:
     with open_executor("processes", 2) as pool:
         found = calibrate(linear(None), 120, executor=pool)

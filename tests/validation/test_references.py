@@ -102,7 +102,7 @@ def test_the_reference_finds_the_evidence_of_a_linear_plate(size: float) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("hidden", ["none", "damage", "taper_x"])
+@pytest.mark.parametrize("hidden", ["none", pytest.param("damage", marks=pytest.mark.weekly), "taper_x"])
 def test_the_quick_way_agrees_with_the_reference_on_a_plate(hidden: str) -> None:
     waiting = Measurement(np.arange(1.0, 11.0), 0.1, 0.002, None, ("",) * 10, complete=True)
     plate = plate_case(replace(builtin("C1"), measurement=waiting))

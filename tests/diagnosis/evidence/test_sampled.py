@@ -73,7 +73,9 @@ def plate() -> PlateCase:
     [
         ("bell", (0.6, 0.55, 0.7, 0.13), 100.0),
         pytest.param("rectangle", (0.45, 0.89, 0.76, 0.07), 5.0, marks=pytest.mark.slow),
-        pytest.param("rectangle", (0.45, 0.93, 0.98, 0.18), 5.0, marks=pytest.mark.slow),
+        pytest.param(
+            "rectangle", (0.45, 0.93, 0.98, 0.18), 5.0, marks=[pytest.mark.slow, pytest.mark.weekly]
+        ),
     ],
 )
 def test_a_hidden_damage_is_found_with_a_known_evidence(
