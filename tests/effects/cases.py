@@ -1,7 +1,6 @@
 """Plates with effects on Ritz and on finite elements, as the tests of effects need them."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -15,7 +14,9 @@ from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import Problem
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.plate import Specimen
+from cpam_bayes.plate.layup import from_angles
 from cpam_bayes.plate.reader import builtin
+from tests.plates import with_plate
 
 MODES = {"C1": 6, "A2": 6, "D3": 10}
 # A plate that none of the built-in ones is: C1 with its four edges simply supported.
@@ -23,12 +24,8 @@ SUPPORTED = "C1 supported"
 BY_NAME = {effect.name: effect for effect in CATALOGUE}
 
 
-@lru_cache
 def specimen_of(name: str) -> Specimen:
-    if name != SUPPORTED:
-        return builtin(name)
-    free = builtin("C1")
-    return replace(free, plate=replace(free.plate, edges="SSSS"))
+    return with_plate("C1", edges="SSSS") if name == SUPPORTED else builtin(name)
 
 
 @lru_cache
@@ -37,12 +34,17 @@ def facts(name: str) -> PlateFacts:
     return PlateFacts.of(specimen.plate, specimen.material.isotropic)
 
 
+def facts_of(problem: Problem, layup: tuple[float, ...] = (0.0,)) -> PlateFacts:
+    n = problem.nominal
+    size = (float(n.length), float(n.width), float(n.thickness))
+    return PlateFacts(*size, from_angles(layup), problem.edges, isotropic=False, mass=1.0)
+
+
 # Where the effects that may be anywhere are put.
 PLACES = {"sensor_mass": (0.95, 0.95, 0.0), "damage": (0.5, 0.5, 0.05)}
 
 
 def placed(effect: Effect) -> Effect:
-    """An effect at one place, where its place is a parameter."""
     if not effect.is_anywhere:
         return effect
     at = zip((p.name for p in effect.coordinates), PLACES[effect.name], strict=True)
@@ -64,27 +66,29 @@ def with_effect(name: str, effect: Effect) -> Problem:
 
 
 def values_at(effect: Effect, sds: tuple[float, ...]) -> dict[str, np.ndarray]:
-    """Values of an effect at multiples of its catalogue standard deviation, each (len(sds),)."""
+    """Values at multiples of the catalogue's standard deviation, each (len(sds),)."""
     return {key: np.array([effect.scaled(s)[key] for s in sds]) for key in effect.null}
 
 
-def settings(problem: Problem, degree: int) -> RitzSettings:
-    held = problem.edges != "FFFF"
-    return RitzSettings(degree, degree, 2, held, 2 if held else 0)
-
-
 def ritz_operator(problem: Problem, values: Mapping[str, np.ndarray], degree: int) -> DenseOperator:
-    space = ritz_space(problem.edges, problem.nominal, settings(problem, degree))
-    return discretise(problem, space, values)
+    held = problem.edges != "FFFF"
+    settings = RitzSettings(degree, degree, 2, held, 2 if held else 0)
+    return discretise(problem, ritz_space(problem.edges, problem.nominal, settings), values)
+
+
+def frequencies(problem: Problem, values: dict[str, float], n: int = 6, degree: int = 9) -> np.ndarray:
+    """Frequencies (n,) of one plate by Ritz."""
+    stack = {name: np.array([value]) for name, value in values.items()}
+    return _solved(ritz_operator(problem, stack, degree), stack, n)[0]
 
 
 def ritz(
     name: str, effect: Effect | None, sds: tuple[float, ...] = (0.0, 1.0), degree: int = 13
 ) -> np.ndarray:
-    """Frequencies (len(sds), n_modes) of a plate with an effect; without one, of the bare plate, (1, n)."""
+    """Frequencies (len(sds), n_modes) of a plate with an effect, or of the bare plate, (1, n)."""
     problem = with_effect(name, effect) if effect else bare(name)
     values = values_at(effect, sds) if effect else {}
-    found = _frequencies(ritz_operator(problem, values, degree), values, MODES.get(name, 6))
+    found = _solved(ritz_operator(problem, values, degree), values, MODES.get(name, 6))
     return observed(effect, found, values) if effect else found
 
 
@@ -94,7 +98,7 @@ def elements(
     """The same on finite elements."""
     problem, values = with_effect(name, effect), values_at(effect, sds)
     space = fem_space(problem.edges, problem.nominal, *(counts or (None, None)))
-    found = _frequencies(discretise_sparse(problem, space, values), values, MODES.get(name, 6))
+    found = _solved(discretise_sparse(problem, space, values), values, MODES.get(name, 6))
     return observed(effect, found, values)
 
 
@@ -105,7 +109,7 @@ def observed(effect: Effect, frequencies: np.ndarray, values: Mapping[str, np.nd
     return effect.observe(np.broadcast_to(frequencies, (n, frequencies.shape[-1])), values)
 
 
-def _frequencies(operator, values, n_modes):  # type: ignore[no-untyped-def]
+def _solved(operator, values, n_modes):  # type: ignore[no-untyped-def]
     found = [np.atleast_2d(c) for c in operator.coefficients(values)]
     m = max(len(c) for c in found)
     stiffness, mass = (np.broadcast_to(c, (m, c.shape[-1])) for c in found)

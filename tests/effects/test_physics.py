@@ -7,42 +7,34 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from cpam_bayes.effects import (
-    CATALOGUE,
-    PlateFacts,
-    add_air,
-    add_known_mass,
-    extend,
-)
+import cpam_bayes as cb
+from cpam_bayes.diagnosis.models import extended_model, plate_models
+from cpam_bayes.effects import CATALOGUE, PlateFacts, add_air, add_known_mass, extend, variants
+from cpam_bayes.effects.geometry import SWAPPED_SIDES
 from cpam_bayes.effects.masses import PressureJumps, jump_energy
 from cpam_bayes.effects.plies import _G
 from cpam_bayes.forward_model.model import angle_parameters, plate_problem
 from cpam_bayes.mechanics.dense import discretise
-from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import AREA, Problem
 from cpam_bayes.mechanics.ritz import RitzSettings, RitzSpace, ritz_space
 from cpam_bayes.plate.edges import FIELDS
-from cpam_bayes.plate.layup import from_angles
 from cpam_bayes.plate.reader import builtin
-from tests.effects.cases import BY_NAME, bare, facts, placed, ritz, ritz_operator, values_at, with_effect
+from tests.effects.cases import (
+    BY_NAME,
+    bare,
+    facts,
+    facts_of,
+    frequencies,
+    placed,
+    values_at,
+    with_effect,
+)
+from tests.hybrids import hybrid
 from tests.mechanics.test_problem import strains as strains_of_a_flat_plate
 from tests.mechanics.test_problem import whole
-from tests.plates import CARBON, CROSS_PLY_16S, plate
+from tests.plates import CARBON, CROSS_PLY_16S, plate, with_plate
 
 PLY = CARBON | {"G13": 5.1e9, "G23": 3.0e9}
-
-
-def facts_of(problem: Problem, layup: tuple[float, ...] = (0.0,)) -> PlateFacts:
-    n = problem.nominal
-    size = (float(n.length), float(n.width), float(n.thickness))
-    return PlateFacts(*size, from_angles(layup), problem.edges, isotropic=False, mass=1.0)
-
-
-def frequencies(problem: Problem, values: dict[str, float], n: int = 6, degree: int = 9) -> np.ndarray:
-    stack = {name: np.array([value]) for name, value in values.items()}
-    operator = ritz_operator(problem, stack, degree)
-    k, m = (np.atleast_2d(c) for c in operator.coefficients(stack))
-    return solve(operator, k, m, n).frequencies[0]
 
 
 def applied(problem: Problem, name: str, layup: tuple[float, ...] = (0.0,)) -> Problem:
@@ -52,23 +44,21 @@ def applied(problem: Problem, name: str, layup: tuple[float, ...] = (0.0,)) -> P
 # The same plate, described otherwise
 
 
-def test_sizes_thickness_and_density_are_those_of_a_plate_so_stated() -> None:
-    original = plate(0.26, 0.2, 0.003, 1600.0, PLY, CROSS_PLY_16S)
-    for name, other in {
-        "thickness": plate(0.26, 0.2, 0.003 * 1.03, 1600.0, PLY, CROSS_PLY_16S),
-        "density": plate(0.26, 0.2, 0.003, 1600.0 * 1.03, PLY, CROSS_PLY_16S),
-        "length": plate(0.26 * 1.03, 0.2, 0.003, 1600.0, PLY, CROSS_PLY_16S),
-        "width": plate(0.26, 0.2 * 1.03, 0.003, 1600.0, PLY, CROSS_PLY_16S),
-    }.items():
-        problem = applied(original, name)
-        for kind in ("stiffness", "mass"):
-            found = problem.coefficients({f"{name}_deviation": np.asarray(0.03)}, kind)
-            np.testing.assert_allclose(found, other.coefficients({}, kind), rtol=1e-12, atol=1e-12)
+STATED = {"length": 0.26, "width": 0.2, "thickness": 0.003, "density": 1600.0}
+
+
+@pytest.mark.parametrize("name", STATED)
+def test_sizes_thickness_and_density_are_those_of_a_plate_so_stated(name: str) -> None:
+    problem = applied(plate(*STATED.values(), PLY, CROSS_PLY_16S), name)
+    other = plate(*{**STATED, name: 1.03 * STATED[name]}.values(), PLY, CROSS_PLY_16S)
+    for kind in ("stiffness", "mass"):
+        found = problem.coefficients({f"{name}_deviation": np.asarray(0.03)}, kind)
+        np.testing.assert_allclose(found, other.coefficients({}, kind), rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["thickness", "length", "width", "skew", "taper_x", "taper_y", "density"])
 def test_a_weighed_plate_keeps_its_mass_where_a_size_is_another_one(name: str) -> None:
-    original = plate(0.26, 0.2, 0.003, 1600.0, PLY, CROSS_PLY_16S)
+    original = plate(*STATED.values(), PLY, CROSS_PLY_16S)
     weighed = replace(facts_of(original, CROSS_PLY_16S), weighed=True)
     effect = placed(BY_NAME[name])
     changed = extend(original, effect, weighed)
@@ -112,6 +102,40 @@ def test_turned_plies_are_the_layup_so_written(
     np.testing.assert_allclose(found.stiffness(), expected, rtol=0, atol=1e-12 * expected.max())
 
 
+@pytest.mark.parametrize(
+    ("effect", "turn", "stated", "written"),
+    [
+        (
+            "outer_ply_angle",
+            30.0,
+            "[c0_2/g45/g-45/c90]_s",
+            "[c30/c0/g45/g-45/c90/c90/g-45/g45/c0/c30]",
+        ),
+        ("misorientation", 20.0, "[c0_2/g45/g-45/c90]_s", "[c20_2/g65/g-25/c-70]_s"),
+        ("misorientation", 17.0, "[c0/g45/c30]", "[c17/g62/c47]"),
+    ],
+)
+def test_plies_of_a_hybrid_turn_with_their_own_stiffness(
+    effect: str, turn: float, stated: str, written: str
+) -> None:
+    known, turned = (
+        cb.read_plate(hybrid(layup=layup, thickness_mm=3.0 if "90" in stated else 0.875))
+        for layup in (stated, written)
+    )
+    problem = extend(plate_problem(known), BY_NAME[effect], PlateFacts.of(known.plate, isotropic=False))
+    found = problem.state({BY_NAME[effect].parameters[0].name: np.asarray(turn)}).stiffness()
+    np.testing.assert_allclose(found, plate_problem(turned).nominal.stiffness(), rtol=1e-9, atol=1e-3)
+
+
+def test_the_shear_modulus_of_each_material_of_a_hybrid_is_another_one() -> None:
+    specimen = cb.read_plate(hybrid())
+    problem = plate_problem(specimen)
+    extended = extend(problem, BY_NAME["shear_ratio"], PlateFacts.of(specimen.plate, isotropic=False))
+    changed = extended.state({"shear_ratio_deviation": np.asarray(0.1)}).constants
+    for name, value in problem.nominal.constants.items():
+        assert changed[name] == pytest.approx(value * (1.1 if name.endswith("G13") else 1.0))
+
+
 def test_stiffness_effects_change_their_own_entries_alone() -> None:
     problem = with_effect("C1", BY_NAME["transverse_shear"])
     plain, changed = bare("C1").state({}).stiffness(), problem.state({"log_shear_factor": np.asarray(0.3)})
@@ -150,6 +174,25 @@ def test_sensor_mass_is_a_known_mass_of_that_size_and_turns_with_its_radius_abou
     np.testing.assert_allclose(*places, rtol=1e-14)
     inertia = m * (float(n.thickness) ** 2 / 4 + r**2)
     np.testing.assert_allclose(turning[-5:], [m, m, m, inertia, inertia], rtol=1e-14)
+
+
+@pytest.mark.parametrize("name", ["A2", "D3"])
+def test_swapped_sides_are_the_plate_with_its_sides_exchanged(name: str) -> None:
+    models, own = plate_models(builtin(name), 6), builtin(name).plate
+    (swapped,) = variants(SWAPPED_SIDES, models.facts)
+    expected = plate_models(with_plate(name, length=own.width, width=own.length), 6).bare.full
+    x = models.samples.x[:1]
+    f = extended_model(models, swapped).predict(x).frequencies[0, :6]
+    np.testing.assert_allclose(f, expected.predict(x).frequencies[0, :6], rtol=2e-4)
+    assert np.abs(f / models.bare.predict(x).frequencies[0, :6] - 1.0).max() > 0.01
+
+
+def test_plates_that_an_exchange_of_sides_leaves_alike_do_not_have_it() -> None:
+    of = replace(facts("C1"), length=0.3)
+    assert SWAPPED_SIDES.applies_to(of)
+    assert not SWAPPED_SIDES.applies_to(facts("C1"))  # square
+    assert not SWAPPED_SIDES.applies_to(replace(of, isotropic=True))
+    assert SWAPPED_SIDES.applies_to(replace(of, isotropic=True, edges="CFFF"))
 
 
 @pytest.mark.parametrize("edges", ["FFFF", "CFFF"])
@@ -212,12 +255,6 @@ def test_rotation_and_translation_of_a_clamp_go_together_and_slip_goes_alone() -
     assert np.all(frequencies(both, values, degree=8) < np.minimum(*alone) * (1 + 1e-5))
     with pytest.raises(ValueError, match="slip does not go with another"):
         extend(both, BY_NAME["clamp_slip"], facts("D3"))
-
-
-def test_support_adds_the_square_of_its_frequency() -> None:
-    f = ritz("C1", BY_NAME["support"], (0.0, 1.0))
-    # but for the rotary inertia, (h / wavelength)^2, which the foam does not hold
-    np.testing.assert_allclose(f[1] ** 2 - f[0] ** 2, 64.0, rtol=2e-3)
 
 
 @pytest.mark.parametrize(("aspect", "expected"), [(1.0, 0.579), (1.5, 0.690), (2.0, 0.757)])

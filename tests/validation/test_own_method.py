@@ -29,11 +29,8 @@ ANSWERED = [name for name in OURS if LISTS[name]["truth"]["causes"]][:3]
 
 def told(name: str) -> dict[str, Any]:
     """A right answer to a list, in the least that a line has."""
-    return {"id": name, "claim": "class", "causes": _known(LISTS[name]["truth"]["causes"])}
-
-
-def _known(causes: list[str]) -> list[str]:
-    return ["damage" if cause == "other" else cause for cause in causes]
+    causes = ["damage" if cause == "other" else cause for cause in LISTS[name]["truth"]["causes"]]
+    return {"id": name, "claim": "class", "causes": causes}
 
 
 def written(folder: Path, *lines: Any) -> Path:
@@ -74,28 +71,25 @@ def test_one_command_prints_the_scores_beside_ours_and_writes_nothing(
     assert set(KEPT) >= set((DATA / "answers").iterdir())
 
 
-def test_answers_to_lists_that_the_diagnosis_has_not_answered_are_counted_and_left_out(
-    tmp_path: Path,
-) -> None:
-    path = written(tmp_path, told(ANSWERED[0]), told(ANSWERED[1]))
-    records = own_method.read(path, set(LISTS))
+def test_without_probabilities_and_constants_only_claims_are_scored(tmp_path: Path) -> None:
+    records = own_method.read(written(tmp_path, *map(told, ANSWERED[:2])), set(LISTS))
     assert list(records) == ANSWERED[:2]
-    said = own_method.table("mine", scoring.scored(LISTS.values(), records), [])
+    scores = scoring.scored(LISTS.values(), records)
+    figures = {row["what"]: row["number"] for row in scoring.figures(scores)}
+    assert figures[scoring.TOO_SURE] == figures[scoring.COVERED] == 0
+    assert figures[scoring.WRONG_CLAIMS] == 2
+    # the diagnosis has not answered these
+    said = own_method.table("mine", scores, [])
     assert "| lists | 0 | 2 |" in said
     assert "| claimed and right | 0 | 2 |" in said
 
 
-def test_without_probabilities_and_constants_only_claims_are_scored(tmp_path: Path) -> None:
-    records = own_method.read(written(tmp_path, told(ANSWERED[0])), set(LISTS))
-    figures = {row["what"]: row for row in scoring.figures(scoring.scored(LISTS.values(), records))}
-    assert figures["stated probability of a claim, less how often it is right"]["number"] == 0
-    assert figures["constants in their 95 % intervals"]["number"] == 0
-    assert figures["wrong claims"]["number"] == 1
-
-
 @pytest.mark.parametrize(
-    ("more", "why"),
+    ("line", "why"),
     [
+        ("{", "not JSON"),
+        ([1], "not an object"),
+        ({"id": ANSWERED[0]}, f"a second answer to {ANSWERED[0]}"),
         ({"id": "clean-99999"}, "'clean-99999': no list of this set"),
         ({"id": None}, "None: no list of this set"),
         ({"claim": "sure"}, "\"claim\" 'sure': one of named, class, pair, other, undecided, none"),
@@ -115,24 +109,13 @@ def test_without_probabilities_and_constants_only_claims_are_scored(tmp_path: Pa
     ],
 )
 def test_what_cannot_be_scored_is_refused_with_its_line(
-    more: dict[str, Any], why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    line: Any, why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = written(tmp_path, told(ANSWERED[0]), told(ANSWERED[1]) | more)
-    with pytest.raises(SystemExit) as stop:
-        STUDY.main(["--score", str(path)])
-    assert stop.value.code == 2
-    said = capsys.readouterr().err
-    assert "mine.jsonl, line 2: " in said
-    assert why in said
-
-
-def test_a_line_that_is_no_object_a_second_answer_and_a_missing_file_are_refused(tmp_path: Path) -> None:
-    for second, why in (
-        ("{", "line 2: not JSON"),
-        ([1], "line 2: not an object"),
-        (told(ANSWERED[0]), f"line 2: a second answer to {ANSWERED[0]}"),
-    ):
-        with pytest.raises(own_method.AnswerError, match=why):
-            own_method.read(written(tmp_path, told(ANSWERED[0]), second), set(LISTS))
-    with pytest.raises(SystemExit):
-        STUDY.main(["--score", str(tmp_path / "none.jsonl")])
+    second = told(ANSWERED[1]) | line if isinstance(line, dict) else line
+    path = written(tmp_path, told(ANSWERED[0]), second)
+    for file, words in ((path, ("mine.jsonl, line 2: ", why)), (tmp_path / "none.jsonl", ("none.jsonl",))):
+        with pytest.raises(SystemExit) as stop:
+            STUDY.main(["--score", str(file)])
+        assert stop.value.code == 2
+        said = capsys.readouterr().err
+        assert all(word in said for word in words)

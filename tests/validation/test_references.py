@@ -25,9 +25,7 @@ from tests.diagnosis.toy_plates import (
     straight,
     whole_normal,
 )
-from tests.diagnosis.toy_plates import (
-    SCATTER as NOISE_DRAWN,
-)
+from tests.diagnosis.toy_plates import SCATTER as NOISE_DRAWN
 from validation.evidence_reference import ReferenceSettings, reference_evidence
 from validation.nested import Lockstep, nested_of_density
 
