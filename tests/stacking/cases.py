@@ -11,7 +11,7 @@ from cpam_bayes.mechanics.dense import discretise_at
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.plate import Measurement, Sensor, Specimen, builtin
-from cpam_bayes.plate.layup import parse_layup
+from cpam_bayes.plate.layup import Layup, parse_layup
 from cpam_bayes.stacking.posterior import MixtureSettings, StackingMixture, sample_mixture, stacking_posterior
 from cpam_bayes.stacking.records import StackingPosterior, StackingSettings
 from tests.shared import once_a_run
@@ -34,6 +34,10 @@ def specimen_with(
     plate = replace(own.plate, layup=parse_layup(layup), width=0.19, thickness=thickness)
     measurement = Measurement(frequencies, 0.0, relative_std, None, ("",) * len(frequencies), True)
     return replace(own, plate=plate, measurement=measurement, angle_grid_deg=step)
+
+
+def with_layup(specimen: Specimen, layup: Layup) -> Specimen:
+    return replace(specimen, plate=replace(specimen.plate, layup=layup))
 
 
 @once_a_run

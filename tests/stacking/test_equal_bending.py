@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from cpam_bayes.forward_model.model import converged_model, reference_vector
-from cpam_bayes.plate import Specimen, angle_grid, builtin
+from cpam_bayes.plate import Measurement, Specimen, angle_grid, builtin
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.stacking.posterior import stacking_posterior
 from cpam_bayes.stacking.records import StackingPosterior, StackingSettings, equal_bending
-from cpam_bayes.stacking.symmetry import ply_sums
+from cpam_bayes.stacking.symmetry import all_sequences, ply_sums
+from tests.stacking.cases import with_layup
 
 # 6^3 - 5^3 + 2^3 - 1^3 = 5^3 - 3^3: the first and the fifth ply weigh as much as the second and the third.
 LAYUP = "[?/?/?/0/?/0]_s"
@@ -23,17 +24,15 @@ THIN, THICK = 0.4, 5.0
 def specimen(thickness: float) -> Specimen:
     """A plate of twelve plies whose list is that of the sequence 0/90/90/0."""
     own = builtin("C1")
-    known = replace(
-        own.plate, layup=parse_layup("[0/90/90/0/0/0]_s"), thickness=thickness * own.plate.thickness
-    )
-    model = converged_model(replace(own, plate=known), own.unknowns, 6)
-    found = model.predict(reference_vector(own, own.unknowns)).frequencies[0]
-    assert own.measurement is not None
-    listed = replace(
-        own.measurement, frequencies=found[:6], relative_std=0.005, resolution=0.0, labels=("",) * 6
-    )
-    plate = replace(known, layup=parse_layup(LAYUP))
-    return replace(own, plate=plate, measurement=listed, angle_grid_deg=STEP)
+    own = replace(own, plate=replace(own.plate, thickness=thickness * own.plate.thickness))
+    frequencies = frequencies_of(own, "[0/90/90/0/0/0]_s")
+    listed = Measurement(frequencies, 0.0, 0.005, None, ("",) * 6, complete=True)
+    return replace(with_layup(own, parse_layup(LAYUP)), measurement=listed, angle_grid_deg=STEP)
+
+
+def frequencies_of(own: Specimen, layup: str) -> np.ndarray:
+    model = converged_model(with_layup(own, parse_layup(layup)), own.unknowns, 6)
+    return model.predict(reference_vector(own, own.unknowns)).frequencies[0, :6]
 
 
 @cache
@@ -47,7 +46,7 @@ def test_what_is_found_is_what_a_look_at_all_finds(layup: str, step: float) -> N
     grid = angle_grid(step)
     sums = ply_sums(parse_layup(layup), grid)
     k = sums.n_unknown
-    every = np.stack(np.unravel_index(np.arange(len(grid) ** k), (len(grid),) * k), axis=1)
+    every = all_sequences(len(grid), k)
     v = sums.first[np.arange(k), every].sum(axis=1)
     rng = np.random.default_rng(1)
     asked = every[rng.integers(len(every), size=12)]
@@ -97,9 +96,5 @@ def test_a_thick_plate_tells_them_apart_by_its_shear() -> None:
 @pytest.mark.parametrize(("thickness", "least", "most"), [(THIN, 0.0, 1e-4), (THICK, 5e-3, 0.5)])
 def test_the_full_model_says_so_too(thickness: float, least: float, most: float) -> None:
     own = specimen(thickness)
-    found = []
-    for layup in ("[0/90/90/0/0/0]_s", "[90/0/0/0/90/0]_s"):
-        plate = replace(own.plate, layup=parse_layup(layup))
-        model = converged_model(replace(own, plate=plate), own.unknowns, 6)
-        found.append(model.predict(reference_vector(own, own.unknowns)).frequencies[0])
-    assert least <= np.abs(found[1] / found[0] - 1.0).max() < most
+    one, other = (frequencies_of(own, layup) for layup in ("[0/90/90/0/0/0]_s", "[90/0/0/0/90/0]_s"))
+    assert least <= np.abs(other / one - 1.0).max() < most

@@ -11,12 +11,7 @@ import pytest
 from cpam_bayes.plate import angle_grid
 from cpam_bayes.plate.laminate import laminate_geometry
 from cpam_bayes.plate.layup import parse_layup
-from cpam_bayes.stacking.listing import (
-    Enumeration,
-    combined,
-    enumerate_prefixes,
-    prefixes_to_visit,
-)
+from cpam_bayes.stacking.listing import Enumeration, combined, enumerate_prefixes, prefixes_to_visit
 from cpam_bayes.stacking.records import StackingSettings
 from cpam_bayes.stacking.search import PilotEnumeration
 from cpam_bayes.stacking.surrogate import (
@@ -113,11 +108,7 @@ def test_the_first_sums_are_the_bending_lamination_parameters(sums: PlySums) -> 
 
 @pytest.mark.parametrize(
     ("motion", "turned"),
-    [
-        ("mirror image", -GRID18),
-        ("quarter turn", GRID18 + 90.0),
-        ("diagonal mirror image", 90.0 - GRID18),
-    ],
+    [("mirror image", -GRID18), ("quarter turn", GRID18 + 90.0), ("diagonal mirror image", 90.0 - GRID18)],
 )
 def test_images_have_the_sums_with_the_signs_of_their_motion(motion: str, turned: np.ndarray) -> None:
     own = ply_sums(LAYUP, GRID18)

@@ -8,14 +8,9 @@ from scipy.stats import norm
 
 import cpam_bayes as cb
 from cpam_bayes.forward_model.build import reduced_model
-from cpam_bayes.forward_model.model import (
-    angle_parameters,
-    reference_vector,
-    training_sets,
-    with_references,
-)
+from cpam_bayes.forward_model.model import angle_parameters, reference_vector, training_sets, with_references
 from cpam_bayes.forward_model.reduced import ReducedModel, focused
-from cpam_bayes.inference.posterior import Posterior, plate_posterior
+from cpam_bayes.inference.posterior import plate_posterior
 from cpam_bayes.inference.sampling import importance_evidence as known_evidence
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import Specimen, builtin, read_plate
@@ -36,7 +31,7 @@ from cpam_bayes.stacking.symmetry import all_sequences, classes, members
 from cpam_bayes.stacking.training import TrainingSettings
 from tests.hybrids import hybrid
 from tests.plate_file import described
-from tests.stacking.cases import TRUE, listed
+from tests.stacking.cases import TRUE, listed, with_layup
 
 QUICK = StackingSettings(draws=50, listed=72, log2_points=7)
 
@@ -87,14 +82,6 @@ def test_what_is_given_up_is_out_of_sight(specimen: Specimen, answer: StackingPo
     assert np.all(answer.log_evidence > answer.log_evidence[0] - NEAR)
 
 
-def known_layup(specimen: Specimen, angles: tuple[float, ...]) -> Posterior:
-    plate = replace(specimen.plate, layup=specimen.plate.layup.with_angles(np.array(angles)))
-    own = replace(specimen, plate=plate)
-    assert own.measurement is not None
-    model = reduced_model(own, own.unknowns, 6)
-    return plate_posterior(model, own.measurement, np.full(6, 1e-4))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("relative_std", [0.01, None])
 def test_the_evidence_of_a_sequence_is_that_of_the_known_layup(relative_std: float | None) -> None:
@@ -107,7 +94,9 @@ def test_the_evidence_of_a_sequence_is_that_of_the_known_layup(relative_std: flo
     fits = fit_conditionals(own, angles, start[None])
     found = importance_evidence(own, angles, fits, 12)
     for i, row in enumerate(angles):
-        posterior = known_layup(specimen, tuple(row))
+        known = with_layup(specimen, specimen.plate.layup.with_angles(row))
+        of_known = reduced_model(known, known.unknowns, 6)
+        posterior = plate_posterior(of_known, specimen.measurement, np.full(6, 1e-4))
         exact = known_evidence(posterior, start[None], 0)
         # two estimates with their own errors, and two reduced models that differ by 1e-4 of a frequency
         tolerance = 4 * np.hypot(exact.standard_error, found.error[i]) + 0.02
@@ -116,9 +105,7 @@ def test_the_evidence_of_a_sequence_is_that_of_the_known_layup(relative_std: flo
 
 # Few sequences, treated as if they were many.
 FORCED = replace(
-    QUICK,
-    exhaustive=0,
-    training=TrainingSettings(initial=60, each_round=40, max_size=160, log2_points=5),
+    QUICK, exhaustive=0, training=TrainingSettings(initial=60, each_round=40, max_size=160, log2_points=5)
 )
 
 
@@ -271,22 +258,6 @@ def own(specimen: Specimen) -> ConditionalPosterior:
     assert specimen.measurement is not None
     model = reduced_model(specimen, angle_parameters(specimen).union(specimen.unknowns), 6)
     return conditional_posterior(model, 2, specimen.measurement, np.full(6, 1e-4))
-
-
-def test_a_focused_model_has_the_frequencies_of_the_whole_with_fewer_vectors(
-    own: ConditionalPosterior,
-) -> None:
-    rng = np.random.default_rng(0)
-    centre = np.concatenate((TRUE, common_starts(builtin("C1"), own)[0][:4]))
-    x = centre * (1.0 + 0.05 * rng.uniform(-1.0, 1.0, (300, 6)))
-    near = focused(own.model, x[:250], 5e-5)
-    assert max(b.size for b in near.fast.operator.blocks) < max(
-        b.size for b in own.model.fast.operator.blocks
-    )
-    ratio = near.predict(x[250:]).frequencies / own.model.predict(x[250:]).frequencies
-    # a projection lies above, but for rounding; the sets between the others are off by a little more
-    assert ratio.min() >= 1.0 - 1e-8
-    assert ratio.max() <= 1.0 + 2 * 5e-5
 
 
 def test_a_focus_within_a_tolerance_for_most_frequencies_has_fewer_vectors(own: ConditionalPosterior) -> None:

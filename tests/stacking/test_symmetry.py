@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cpam_bayes.plate import Sensor, Specimen, angle_grid, builtin
+from cpam_bayes.plate import Sensor, Specimen, angle_grid
 from cpam_bayes.stacking.symmetry import (
     Symmetry,
     canonical,
@@ -53,13 +53,7 @@ CASES = {
         tuple(Sensor(0.05, x, y) for x, y in ((0.03, 0.07), (0.13, 0.03), (0.17, 0.13), (0.07, 0.17))),
         [TURN],
     ),
-    "unsymmetric": (
-        "[?/?/?]",
-        "FFFF",
-        0.15,
-        (),
-        [MIRROR, "upside down", f"{MIRROR} upside down"],
-    ),
+    "unsymmetric": ("[?/?/?]", "FFFF", 0.15, (), [MIRROR, "upside down", f"{MIRROR} upside down"]),
     "known plies that are mirrored": ("[0/?/90/?]_s", "FFFF", SIDE, (), [MIRROR]),
     "known ply on the diagonal": ("[45/?]_s", "FFFF", SIDE, (), [DIAGONAL]),
     "mirrored when upside down": ("[45/?/?/-45]", "FFFF", 0.15, (), [f"{MIRROR} upside down"]),
@@ -176,18 +170,6 @@ def test_sizes_labels_and_a_mesh_may_leave_fewer_symmetries() -> None:
     meshed = replace(unsymmetric, plate=replace(unsymmetric.plate, mesh=Path("plate.msh")))
     assert plane_motions(meshed) == ("",)
     assert names(meshed) == ["upside down"]
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("C1", [MIRROR, TURN, DIAGONAL]),
-        *((name, [MIRROR]) for name in ("B1", "B2", "C2", "C3", "C4", "D1", "D2", "D3", "D4", "F1", "G1")),
-        *((name, []) for name in ("F2", "G2")),  # known plies at 45/-45 beside the unknown ones
-    ],
-)
-def test_symmetries_of_the_papers_cases(name: str, expected: list[str]) -> None:
-    assert names(builtin(name, sequence=True)) == expected
 
 
 @pytest.mark.parametrize(
