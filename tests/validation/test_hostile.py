@@ -19,7 +19,7 @@ from cpam_bayes.plate.modes_of_hits import modes_of
 from cpam_bayes.plate.modes_table import read_modes_table
 from cpam_bayes.storage import read_arrays, write_arrays
 from tests.effort import calls
-from validation.hostile.files import DAMAGES, LARGE_FILES, crossed, layups, plate_texts
+from validation.hostile.files import DAMAGES, LARGE_FILES, layups, plate_texts
 from validation.hostile.measurements import (
     LARGE_TABLES,
     LARGE_UNIVERSAL_FILES,
@@ -181,15 +181,6 @@ def test_responses_and_records_have_poles_or_are_refused(tmp_path: Path, content
     ending, written = content
     said = poles_of(tmp_path / f"tap{ending}", written)
     assert not said or is_short_and_printable(said.replace(str(tmp_path), ""))
-
-
-def test_pieces_of_two_files_make_others_of_a_bounded_size() -> None:
-    rng = np.random.default_rng(0)
-    one, other = b"a\nbb\nccc\n" * 20, b"1,2,3\n" * 50
-    made = [crossed(one, other, rng) for _ in range(200)]
-    assert len(set(made)) > 150
-    assert max(map(len, made)) <= 2 * max(len(one), len(other))
-    assert {type(crossed(text, "", rng)) for text in ("", "[0/90]_s")} == {str}
 
 
 # Functions called for each kB of a file, where reading short lines of universal files takes some 200, and for
