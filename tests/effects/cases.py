@@ -93,12 +93,16 @@ def ritz(
 
 
 def elements(
-    name: str, effect: Effect, sds: tuple[float, ...] = (0.0, 1.0), counts: tuple[int, int] | None = None
+    name: str,
+    effect: Effect,
+    sds: tuple[float, ...] = (0.0, 1.0),
+    counts: tuple[int, int] | None = None,
+    n_modes: int | None = None,
 ) -> np.ndarray:
     """The same on finite elements."""
     problem, values = with_effect(name, effect), values_at(effect, sds)
     space = fem_space(problem.edges, problem.nominal, *(counts or (None, None)))
-    found = _solved(discretise_sparse(problem, space, values), values, MODES.get(name, 6))
+    found = _solved(discretise_sparse(problem, space, values), values, n_modes or MODES.get(name, 6))
     return observed(effect, found, values)
 
 

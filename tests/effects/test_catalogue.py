@@ -1,9 +1,10 @@
 """The contract of an effect, over the whole catalogue and both discretisations."""
 
 import ast
+import json
 import pickle
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from itertools import combinations, product
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 import cpam_bayes
+from cpam_bayes.diagnosis.hypotheses import Claim
 from cpam_bayes.effects import CATALOGUE, Effect, applicable, extend, scale_of, variants
 from cpam_bayes.effects.table import BEGIN, END, catalogue_table
 from cpam_bayes.forward_model.model import SIZES, PlateModel, constant_parameters, plate_problem
@@ -19,10 +21,12 @@ from cpam_bayes.mechanics.affine import AffineOperator
 from cpam_bayes.mechanics.dense import MATRICES
 from cpam_bayes.mechanics.problem import PlateState, StateFunction, Values
 from cpam_bayes.parameters import Mixture, ScaledStudentT
+from cpam_bayes.plate import Measurement
 from cpam_bayes.plate.edges import conditions
 from cpam_bayes.plate.laminate import laminate_geometry
 from cpam_bayes.plate.layup import Layup
 from cpam_bayes.plate.reader import builtin, builtin_names
+from cpam_bayes.questions.diagnose import diagnose
 from tests.effects.cases import (
     BY_NAME,
     MODES,
@@ -38,15 +42,6 @@ from tests.effects.cases import (
     with_effect,
 )
 
-# Names of the contract: answers, stores and studies hold them.
-KEPT_NAMES = {
-    *("clamp_rotation", "clamp_translation", "soft_clamp", "clamp_slip", "clamp_length", "sensor_mass"),
-    *("edge_mass", "soft_support", "support", "air", "thickness", "density", "length"),
-    *("width", "frequency_scale", "taper_x", "taper_y", "skew"),
-    *("misorientation", "outer_ply_angle", "inner_ply_angle", "warp", "membrane_stress"),
-    *("transverse_shear", "shear_ratio", "damage", "resin_skin", "viscoelastic"),
-    *("mode_identity", "outlier", "material", "layup", "swapped_sides"),
-}
 PAGE = (Path(__file__).parents[2] / "docs" / "effects.md").read_text(encoding="utf-8")
 # Largest shift of a frequency at 1 sd, %, of the first 6, 6 and 10 modes of C1, A2 and D3. A mass lies at
 # (0.95, 0.95), a strip along x = length, a smooth damage of extent 0.05 at the centre.
@@ -79,6 +74,11 @@ resin_skin           -6.9      -   -6.3
 viscoelastic          0.6    0.8    1.1
 """
 EXPECTED = {cells[0]: cells[1:] for cells in map(str.split, LARGEST_SHIFTS.strip().splitlines())}
+# Names of the contract: answers, stores and studies hold them.
+KEPT_NAMES = {
+    *EXPECTED,
+    *("soft_clamp", "soft_support", "mode_identity", "outlier", "material", "layup", "swapped_sides"),
+}
 ON_THE_PLATE = [e for e in CATALOGUE if e.change or e.observe]
 OF_THE_PROBLEM = [e for e in CATALOGUE if e.change is not None]
 MEMBRANE = ("u", "v")
@@ -261,16 +261,6 @@ def test_null_gives_back_the_bare_plate(plate: str, effect: Effect) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-4 if sprung else 2e-6)
 
 
-@pytest.mark.parametrize(("plate", "effect"), one_plate)
-def test_a_problem_with_an_effect_can_be_sent_to_another_process(plate: str, effect: Effect) -> None:
-    problem = with_effect(plate, effect)
-    values = values_at(effect, (0.0, 1.0))
-    sent = pickle.loads(pickle.dumps(problem))
-    for kind in MATRICES:
-        np.testing.assert_array_equal(sent.coefficients(values, kind), problem.coefficients(values, kind))
-        assert sent.forms(kind) == problem.forms(kind)
-
-
 # The matrices
 
 
@@ -299,8 +289,14 @@ def test_forms_are_symmetric_mass_definite_and_stiffness_semidefinite_within_the
 
 
 @pytest.mark.parametrize(("plate", "effect"), one_plate)
-def test_what_couples_stretching_with_bending_says_so(plate: str, effect: Effect) -> None:
+def test_a_problem_with_an_effect_can_be_sent_away_and_says_what_couples_stretching_with_bending(
+    plate: str, effect: Effect
+) -> None:
     problem, values = with_effect(plate, effect), values_at(effect, (1.0,))
+    sent = pickle.loads(pickle.dumps(problem))
+    for kind in MATRICES:
+        np.testing.assert_array_equal(sent.coefficients(values, kind), problem.coefficients(values, kind))
+        assert sent.forms(kind) == problem.forms(kind)
     couples = [
         {f.left.field in MEMBRANE, f.right.field in MEMBRANE} == {True, False}
         for f in problem.forms("stiffness")
@@ -439,12 +435,50 @@ def test_the_slope_at_the_null_is_zero_on_a_free_orthotropic_plate_if_the_record
         assert small / large > 0.4
 
 
-def test_the_example_of_an_effect_raises_frequencies_alike_on_both_discretisations() -> None:
+# An effect of one's own, which no file of the package knows
+
+
+@cache
+def stiffener() -> Effect:
+    """The example of the page, in other units and stiffer on thicker plates."""
     _, _, code = PAGE.partition('```python title="stiffener.py"\n')
     names: dict[str, Any] = {}
     exec(code.partition("```")[0], names)
-    f = ritz("C1", names["STIFFENER"], degree=10)
-    g = elements("C1", names["STIFFENER"], counts=(24, 48))
+    effect: Effect = names["STIFFENER"]
+    (size,) = effect.parameters
+    shown = replace(size, shown=("kN cm2", 10.0))
+    look = "Look for a rib along the middle."
+    return replace(effect, parameters=(shown,), check=look, size_factor=lambda facts: facts.thickness / 3e-3)
+
+
+@pytest.mark.slow
+def test_it_is_claimed_where_it_is_hidden_and_in_the_document_with_its_unit_and_on_the_screen() -> None:
+    own, rng = stiffener(), np.random.default_rng(1)
+    # by elements, with 0.1 % of noise
+    f = elements("C1", own, (4.0,), counts=(24, 48), n_modes=10)[0] * (1.0 + 1e-3 * rng.standard_normal(10))
+    listed = Measurement(np.sort(f).round(1), 0.1, 1e-3, None, ("",) * 10, complete=True)
+    hidden = replace(builtin("C1"), measurement=listed)
+    found = diagnose(hidden, catalogue=(*CATALOGUE, own), next_test="never")
+    assert found.claim in ("named", "class")
+    assert found.causes[0] == "stiffener"
+    document = json.loads(json.dumps(found.to_dict()))
+    (entry,) = (h for h in document["hypotheses"] if h["cause"] == "stiffener")
+    size = entry["parameters"]["stiffener"]
+    assert size["unit"] == "kN cm2"
+    assert size["mean"] == pytest.approx(4.0 * 5.0, abs=3.0 * size["sd"])
+    # C1 is 3.2 mm thick
+    scale = document["priors"]["effects"]["stiffener"]["stiffener"]["scale"]
+    assert scale == pytest.approx(5.0 * 3.2 / 3)
+    assert "kN cm2" in found.summary(verbose=True)
+    # checks stand beside each other where two causes are claimed
+    both = replace(found.diagnosis, claim=Claim("class", ("stiffener", "warp"), 0.99))
+    screen = replace(found, diagnosis=both).summary(verbose=True)
+    (line,) = (line for line in screen.splitlines() if own.check in line)
+    assert line.split() == f"{own.title} {own.check}".split()
+
+
+def test_it_raises_frequencies_alike_on_both_discretisations() -> None:
+    f, g = ritz("C1", stiffener(), degree=10), elements("C1", stiffener(), counts=(24, 48))
     a, b = f[1] / f[0] - 1, g[1] / g[0] - 1
     assert np.all(a > 0)
     assert a.max() > 1e-3

@@ -19,16 +19,7 @@ from cpam_bayes.mechanics.problem import AREA, Problem
 from cpam_bayes.mechanics.ritz import RitzSettings, RitzSpace, ritz_space
 from cpam_bayes.plate.edges import FIELDS
 from cpam_bayes.plate.reader import builtin
-from tests.effects.cases import (
-    BY_NAME,
-    bare,
-    facts,
-    facts_of,
-    frequencies,
-    placed,
-    values_at,
-    with_effect,
-)
+from tests.effects.cases import BY_NAME, bare, facts, facts_of, frequencies, placed, values_at, with_effect
 from tests.hybrids import hybrid
 from tests.mechanics.test_problem import strains as strains_of_a_flat_plate
 from tests.mechanics.test_problem import whole
@@ -105,12 +96,7 @@ def test_turned_plies_are_the_layup_so_written(
 @pytest.mark.parametrize(
     ("effect", "turn", "stated", "written"),
     [
-        (
-            "outer_ply_angle",
-            30.0,
-            "[c0_2/g45/g-45/c90]_s",
-            "[c30/c0/g45/g-45/c90/c90/g-45/g45/c0/c30]",
-        ),
+        ("outer_ply_angle", 30.0, "[c0_2/g45/g-45/c90]_s", "[c30/c0/g45/g-45/c90/c90/g-45/g45/c0/c30]"),
         ("misorientation", 20.0, "[c0_2/g45/g-45/c90]_s", "[c20_2/g65/g-25/c-70]_s"),
         ("misorientation", 17.0, "[c0/g45/c30]", "[c17/g62/c47]"),
     ],
