@@ -164,6 +164,14 @@ def test_saved_results_are_those_of_the_saved_answers() -> None:
     assert rounded(json.dumps(found)) == rounded(json.dumps(saved("15_claims")))
 
 
+def test_states_of_the_code_stand_in_the_order_of_their_answers() -> None:
+    entries = [{"id": f"prior-{k}", "file": "", "truth": truth()} for k in range(3)]
+    commits = {"prior-2": "b", "prior-1": "b", "prior-0": "a"}
+    answers = {name: answer("none") | {"commit": commit} for name, commit in commits.items()}
+    engines = scoring.by_engine(scoring.scored(entries, answers))
+    assert [(e["commit"], e["lists"]) for e in engines] == [("b", 2), ("a", 1)]
+
+
 FILE = "[plate]\nlength_mm = 200\nwidth_mm = 100\nthickness_mm = 5\n{}"
 DENSE, WEIGHED = FILE.format("density_kg_m3 = 2000"), FILE.format("mass_g = 400")
 
