@@ -23,7 +23,7 @@ from tests.test_studies import script
 PROJECT = Path(__file__).parent.parent
 DOCS = PROJECT / "docs"
 PAGES = sorted([*PROJECT.glob("docs/*.md"), PROJECT / "README.md"])
-# Pages whose examples take more than five seconds, those that take more than thirty, and one that runs CalculiX.
+# Pages whose examples take more than five seconds, more than thirty, and one that runs CalculiX.
 SLOW = {
     *("README.md", "effects.md", "many_plates.md", "mode_shapes.md", "priors.md", "repeats.md"),
     *("hybrids.md", "several_plates.md"),
