@@ -78,13 +78,14 @@ def full_text():
 
 @pytest.fixture
 def read(tmp_path: Path):
-    """Read a plate file whose table has some content."""
+    """Read a plate file whose measurement is in a file of some content, a table of modes by default."""
 
-    def reading(content: str | bytes, more: str = "") -> Specimen:
-        encoded = content.encode() if isinstance(content, str) else content
-        (tmp_path / "modes.csv").write_bytes(encoded)
+    def reading(
+        content: str | bytes, more: str = "", *, key: str = "table", name: str = "modes.csv"
+    ) -> Specimen:
+        (tmp_path / name).write_bytes(content.encode() if isinstance(content, str) else content)
         path = tmp_path / "bar.toml"
-        path.write_text(f'{OF_TABLE}table = "modes.csv"\n{more}', encoding="utf-8")
+        path.write_text(f'{OF_TABLE}{key} = "{name}"\n{more}', encoding="utf-8")
         return cb.read_plate(path)
 
     return reading
@@ -92,8 +93,8 @@ def read(tmp_path: Path):
 
 @pytest.fixture
 def measured(read):
-    def measurement(content: str | bytes, more: str = "") -> Measurement:
-        found = read(content, more).measurement
+    def measurement(content: str | bytes, more: str = "", **file: str) -> Measurement:
+        found = read(content, more, **file).measurement
         assert found is not None
         return found
 
@@ -102,12 +103,12 @@ def measured(read):
 
 @pytest.fixture
 def refused(read):
-    """The problems of a table, each without the name and line of the plate file."""
+    """The problems of such a file, each without its key and the name and line of the plate file."""
 
-    def problems(content: str | bytes, more: str = "") -> list[str]:
+    def problems(content: str | bytes, more: str = "", *, key: str = "table", **file: str) -> list[str]:
         with pytest.raises(PlateFileError) as caught:
-            read(content, more)
-        place = re.compile(rf".*bar\.toml:{1 + OF_TABLE.count(chr(10))}: measurement\.table: ")
+            read(content, more, key=key, **file)
+        place = re.compile(rf".*bar\.toml:{1 + OF_TABLE.count(chr(10))}: measurement\.{key}: ")
         assert all(place.match(problem) for problem in caught.value.problems), caught.value.problems
         return [place.sub("", problem) for problem in caught.value.problems]
 

@@ -8,6 +8,7 @@ import pytest
 
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate import parse_specimen, schema
+from tests.plate_file import BAR
 
 
 def problems_of(text):
@@ -22,43 +23,20 @@ def one_problem(text):
     return problems[0]
 
 
-PLATE = """name = "x"
-[plate]
-length_mm = 100
-width_mm = 50
-thickness_mm = 2
-density_kg_m3 = 2700
-edges = "FFFF"
-"""
-
 # (what stands in the good file, what replaces it, the key, what the message must hold)
 SPOILT = [
     # unknown keys
-    (
-        "length_mm = 260.0",
-        "length_mm = 260.0\nthickness_m = 3",
-        "plate.thickness_m",
-        "thickness_mm",
-    ),
     ("E2_GPa = 9.34", "E2_GPa = 9.34\nE3_GPa = 9.34", "material.E3_GPa", "nearest known key is E"),
     ("[plate.sd]", "[plates]", "plates", "nearest known key is plate"),
     ("mass_g = 1.2", "mass_g = 1.2\nz_mm = 1", "sensor item 1.z_mm", "nearest known key is"),
-    ("[unknowns]", "[unknowns]\nrho = 1", "unknowns.rho", "accepted: E1_GPa E2_GPa"),
     ("width_mm = 250", "width_mm = 250\nresolution_hz = 1", "plate.resolution_hz", "[measurement]"),
     ("sd = 0.03, ", "sd = 0.03, men = 1, ", "unknowns.nu12.men", "nearest known key is mean"),
     # types
     ("length_mm = 260.0", "length_mm = 1979-05-27", "plate.length_mm", "received datetime.date"),
     ("length_mm = 260.0", f"length_mm = 1{'0' * 400}", "plate.length_mm", "wrong type"),
     ("isotropic = false", 'isotropic = "no"', "material.isotropic", "true or false"),
-    ('name = "plate 7"', "name = 7", "name", "a text"),
     ('name = "plate 7"', 'name = ""', "name", "empty text"),
     ("[environment]\nair_density_kg_m3 = 1.2", "[[environment]]", "environment", "a table"),
-    (
-        "frequencies_hz = [102,",
-        'frequencies_hz = ["102 V",',
-        "measurement.frequencies_hz item 1",
-        "Hz",
-    ),
     ("E2_GPa = [5, 40]", "E2_GPa = [5, 40, 50]", "unknowns.E2_GPa", "wrong length"),
     ("E2_GPa = [5, 40]", "E2_GPa = {}", None, "missing"),
     # numbers that are none, and sizes that are none
@@ -70,38 +48,28 @@ SPOILT = [
     ("nu12 = 0.23", "nu12 = nan", "material.nu12", "not a finite number"),
     ("resolution_hz = 0.5", "resolution_hz = -0.5", "measurement.resolution_hz", "0 or above"),
     ("relative_std = 0.005", "relative_std = 0.0", "measurement.relative_std", "fraction"),
-    (
-        "complete = false",
-        "complete = false\nmissed_probability = 1.0",
-        "measurement.missed_probability",
-        "received 1.0, accepted: a number above 0 and below 1",
-    ),
+    ("complete = false", "complete = false\nmissed_probability = 1.0", None, "above 0 and below 1"),
     ("complete = false", "complete = false\nfalse_peaks = -1", "measurement.false_peaks", "0 or above"),
     (
         "complete = false",
         "false_peaks = 0.5",
         "measurement.false_peaks",
-        "of a complete list, received 0.5, accepted: complete = false",
+        "list, received 0.5, accepted: com",
     ),
     ("[0.2, 0.5,", "[0.2, 0.0,", "measurement.frequency_sd_hz item 2", "above 0"),
-    ("[102, 311", "[0, 311", "measurement.frequencies_hz item 1", "above 0"),
     ("[102, 311, 342, 342, 390, 612.5]", "[342, 342, 342, 342, 342, 342]", None, "all 6 frequencies"),
     ("sd = 0.03", "sd = 0", "unknowns.nu12.sd", "above 0"),
     # missing
     ('edges = "CFSF"\n', "", "plate.edges", "missing, accepted: four letters"),
     ("E2_GPa = 9.34\n", "", "material.E2_GPa", "missing"),
     ("isotropic = false\n", 'symmetry = "ortho"\n', "material.symmetry", 'accepted: "isotropic", "tran'),
-    ("isotropic = false\n", "symmetry = 1\n", "material.symmetry", "not a symmetry, received 1"),
     ("isotropic = false", 'isotropic = true\nsymmetry = "orthotropic"', "material.isotropic", "contradicts"),
     ('layup = "[(0/90)_8]_s"\nsequence_', "sequence_", "plate.layup", "missing"),
     # relations
     ("thickness_mm = 3.2", "thickness_mm = 250", "plate.thickness_mm", "not a plate"),
     ("density_kg_m3 = 15\n", "mass_g = 15\n", "plate.sd.mass_g", "does not give"),
-    ("nu12 = 0.02", "G13_GPa = 0.02", "material.sd.G13_GPa", "does not give"),
     ('edges = "CFSF"', 'edges = "CFS"', "plate.edges", "four letters of F S C"),
-    ('edges = "CFSF"', 'edges = "cfxf"', "plate.edges", 'received "cfxf"'),
     ('edges = "CFSF"', 'edges = "CFSF\\n"', "plate.edges", "four letters of F S C"),
-    ('"[(0/90)_8]_s"', '"[(0/9x)_8]_s"', "plate.layup", "character 6"),
     ('"[(?/?/?/?)_4]_s"', '"[(0/90)_8]_s"', "plate.sequence_layup", "no unknown angle"),
     ('"[(?/?/?/?)_4]_s"', '"[?/?]_s"', "plate.sequence_layup", "received 4, accepted: 32"),
     ("E1_GPa = 121.2", "E1_GPa = 9.0", "material.E1_GPa", "E1 > E2, fourth of eq. (9); fabrics, wood and"),
@@ -113,13 +81,10 @@ SPOILT = [
     ("[0.15, 0.4]", "[0.3, 0.4]", "unknowns.nu12.mean", "0.3 to 0.4"),
     ("[10.0, 200.0]", "[1.0, 4.0]", "unknowns.nu12", "no physical constants"),
     ("angle_grid_deg = 15.0", "angle_grid_deg = 7.0", "unknowns.angle_grid_deg", "divides 180"),
-    ("x_mm = 250.0", "x_mm = 260.5", "sensor item 1.x_mm", "0 to 260"),
     ("y_mm = 240.0", "y_mm = 251", "sensor item 1.y_mm", "width_mm"),
     ("[102, 311, 342,", "[102, 342, 311,", "measurement.frequencies_hz item 3", "311 after 342"),
     ("[102, 311, 342, 342, 390, 612.5]", "[]", None, "a list of 1 to 100 frequencies"),
     ("[0.2, 0.5,", "[0.2,", "measurement.frequency_sd_hz", "received 5, accepted: 6"),
-    ('["(1,1)", ', "[", "measurement.labels", "received 5, accepted: 6"),
-    ("[plate]\n", '[plate]\nmesh = "none.msh"\n', "plate.mesh", "no such file"),
     ("[plate]\n", '[plate]\nmesh = "."\n', "plate.mesh", "no such file"),
 ]
 
@@ -143,16 +108,22 @@ def test_each_error_names_file_line_key_and_what_is_accepted(full_text, good, ba
     assert last in line or ("missing" in said and table in line)
 
 
-@pytest.mark.parametrize("nu12", [-1.8, 1.8])
-def test_an_orthotropic_material_is_refused_where_it_is_not_positive_definite_only(nu12):
-    text = (
-        PLATE + 'layup = "[0]"\n[material]\nsymmetry = "orthotropic"\nE1_GPa = 3\nE2_GPa = 1\nG12_GPa = 1\n'
-    )
-    problem = one_problem(f"{text}nu12 = {nu12}\n")
-    assert "material.nu12: impossible constants" in problem
-    assert "|nu12| < sqrt(E1/E2), a positive definite stiffness" in problem
+ORTHOTROPIC = 'symmetry = "orthotropic"\nE1_GPa = 3\nE2_GPa = 1\nG12_GPa = 1\n'
+MATERIALS = [
+    ("isotropic = true\nE1_GPa = 69\nnu12 = 0.5\n", "-1 < nu12 < 0.5"),
+    ("isotropic = true\nE1_GPa = 69\nnu12 = 0.3\n[unknowns]\nnu12 = [0.6, 0.7]\n", "no physical const"),
+    ("E1_GPa = 69\nnu12 = 0.3\n", "material.symmetry: missing"),
+    (f"{ORTHOTROPIC}nu12 = -1.8\n", "material.nu12: impossible constants"),
+    (f"{ORTHOTROPIC}nu12 = 1.8\n", "|nu12| < sqrt(E1/E2), a positive definite stiffness"),
+]
+
+
+@pytest.mark.parametrize(("tables", "said"), MATERIALS)
+def test_a_material_that_cannot_be_is_refused_by_the_rule_of_its_symmetry(tables, said):
+    plate, _, _ = BAR.partition("[material]\n")
+    problem = one_problem(f'{plate}layup = "[0]"\n[material]\n{tables}')
+    assert said in problem
     assert "eq. (9)" not in problem
-    assert parse_specimen(f"{text}nu12 = {nu12 / 1.8}\n", "x").material.symmetry == "orthotropic"
 
 
 def test_all_errors_of_a_file_come_at_once_in_the_order_of_their_lines(full_text):
@@ -165,7 +136,11 @@ def test_all_errors_of_a_file_come_at_once_in_the_order_of_their_lines(full_text
         .replace("[102, 311, 342", "[102, 342, 311")
         .replace('["(1,1)", ', "[")
     )
-    problems = problems_of(text)
+    with pytest.raises(PlateFileError) as caught:
+        parse_specimen(text, "plate.toml")
+    problems = caught.value.problems
+    assert str(caught.value) == "\n".join(problems)
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
     assert not any("no physical constants" in problem for problem in problems)
     keys = [re.match(r"plate\.toml:\d+: ([^:]+):", problem).group(1) for problem in problems]
     assert keys == [
@@ -181,46 +156,12 @@ def test_all_errors_of_a_file_come_at_once_in_the_order_of_their_lines(full_text
     assert lines == sorted(lines)
 
 
-def test_the_message_holds_every_problem_one_a_line(full_text):
-    text = full_text.replace("width_mm = 250", "width_mm = -250").replace("mean", "men")
-    with pytest.raises(PlateFileError) as caught:
-        parse_specimen(text, "plate.toml")
-    assert str(caught.value).split("\n") == list(caught.value.problems)
-    assert isinstance(caught.value, ValueError)
-    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
-
-
-def test_an_isotropic_plate_has_two_constants(full_text):
-    key = "G12_GPa"
-    start = full_text.index("[material]")
-    stop = full_text.index("[environment]")
-    tables = (
-        "[material]\nisotropic = true\nE1_GPa = 69\nnu12 = 0.33\n{0}"
-        "[material.sd]\nnu12 = 0.03\n{1}[unknowns]\nE1_GPa = [10, 200]\n{2}"
-    )
-    good = full_text[:start] + tables.format("", "", "") + full_text[stop:]
-    assert parse_specimen(good, "x").material.isotropic
-    bad = full_text[:start] + tables.format(f"{key} = 25\n", f"{key} = 2\n", f"{key} = [5, 30]\n")
-    problems = problems_of(bad + full_text[stop:])
-    assert [problem.split(": ")[1] for problem in problems] == [
-        f"material.{key}",
-        f"material.sd.{key}",
-        f"unknowns.{key}",
-    ]
+def test_an_isotropic_plate_has_two_constants():
+    text = f"{BAR}G12_GPa = 25\n[material.sd]\nG12_GPa = 2\n[unknowns]\nG12_GPa = [5, 30]\n"
+    problems = problems_of(text)
+    tables = ["material", "material.sd", "unknowns"]
+    assert [problem.split(": ")[1] for problem in problems] == [f"{table}.G12_GPa" for table in tables]
     assert all("E1_GPa and nu12 only" in problem for problem in problems)
-
-
-@pytest.mark.parametrize(
-    ("tables", "said"),
-    [
-        ("isotropic = true\nE1_GPa = 69\nnu12 = 0.5\n", "-1 < nu12 < 0.5"),
-        ('symmetry = "isotropic"\nE1_GPa = 69\nnu12 = 0.5\n', "-1 < nu12 < 0.5"),
-        ("isotropic = true\nE1_GPa = 69\nnu12 = 0.3\n[unknowns]\nnu12 = [0.6, 0.7]\n", "no physical const"),
-        ("E1_GPa = 69\nnu12 = 0.3\n", "material.symmetry: missing"),
-    ],
-)
-def test_an_isotropic_material_says_so_and_keeps_poissons_ratio_below_one_half(tables, said):
-    assert said in one_problem(f"{PLATE}[material]\n{tables}")
 
 
 @pytest.mark.parametrize("missing", ["plate", "material"])
@@ -251,15 +192,13 @@ def test_only_the_problems_that_are_shown_are_put_in_words(monkeypatch):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[[sensor]]\n" * 30_000, "too many, received 30000, accepted: at most 100 tables [[sensor]]"),
         ("[[sensor]]\nmass_g = 'x'\n" * 10_000, "too many, received 10000, accepted: at most 100 tables"),
         (
             f"[measurement]\nfrequencies_hz = [{'-1, ' * 100_000}]",
             "too many, received 100000, accepted: a list of 1 to 100 frequencies, ascending",
         ),
-        (f"[measurement]\nfrequencies_hz = {[*range(1, 30_000)]}", "too many, received 29999, accepted: a "),
     ],
-    ids=["empty sensors", "wrong sensors", "wrong frequencies", "frequencies"],
+    ids=["sensors", "frequencies"],
 )
 def test_too_many_of_a_kind_are_one_problem(text, said):
     found = [problem for problem in problems_of(text) if "too many" in problem]
@@ -269,22 +208,21 @@ def test_too_many_of_a_kind_are_one_problem(text, said):
 
 def test_sensors_heavier_than_the_plate_are_refused_with_its_mass(full_text):
     # 260 mm x 250 mm x 3.2 mm of 1590 kg/m3
-    said = problems_of(full_text.replace("mass_g = 0.5", "mass_g = 500.0"))
-    assert len(said) == 1
-    assert (
-        "sensor item 2.mass_g: heavier than the plate, received 501.2 in all, accepted: up to 330.7"
-        in said[0]
-    )
+    said = one_problem(full_text.replace("mass_g = 0.5", "mass_g = 500.0"))
+    assert "sensor item 2.mass_g: heavier than the plate, received 501.2 in all" in said
+    assert "accepted: up to 330.7" in said
     assert parse_specimen(full_text.replace("mass_g = 0.5", "mass_g = 300.0"), "x").sensors[1].mass == 0.3
 
 
 def test_received_values_are_shown_short_and_printable(full_text):
-    long = problems_of(full_text.replace("CFSF", "F" * 100_000))
-    assert all(len(problem) < 400 for problem in long)
-    escaped = problems_of(full_text.replace("CFSF", "\\u001b[31m"))
-    assert "\x1b" not in "".join(escaped)
-    key = problems_of(full_text.replace("[unknowns]", '[unknowns]\n"\\u001b[31m" = 1'))
-    assert "\x1b" not in "".join(key)
+    for old, new in (
+        ("CFSF", "F" * 100_000),
+        ("CFSF", "\\u001b[31m"),
+        ("[unknowns]", '[unknowns]\n"\\u001b[31m" = 1'),
+    ):
+        problem = one_problem(full_text.replace(old, new))
+        assert len(problem) < 400
+        assert "\x1b" not in problem
 
 
 LONG_KEY = ".".join("a" * 50_000)
@@ -294,8 +232,6 @@ LONG_KEY = ".".join("a" * 50_000)
     ("text", "line"),
     [
         ("a = 1\nb = = 2\n", 2),
-        ("a = 1\n[plate\nb = 2\n", 2),
-        ("a = 1\na = 2\n", 2),
         ('a = "\x1b"\n', 1),
         ("a = 1\n\nb = [1, 2\n", 3),
         ("x = 1" + "0" * 5000, 1),

@@ -57,20 +57,25 @@ def test_the_plies_give_mass_and_heights() -> None:
     assert_allclose(weighed.layup.plies.density, stack.density)
 
 
+def without_density(material: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in material.items() if key != "density_kg_m3"}
+
+
+def of_one_material(layup: str, thickness_mm: float, **plies_mm: float) -> dict[str, Any]:
+    """A plate of named plies of carbon."""
+    file = hybrid(density_kg_m3=1590.0, layup=layup, thickness_mm=thickness_mm)
+    file["ply"] = [{"name": name, "thickness_mm": t} for name, t in plies_mm.items()]
+    return file | {"material": without_density(HYBRID["material"]["carbon"])}
+
+
 def test_one_density_of_the_plate_is_one_density_of_all_plies() -> None:
-    file = hybrid(density_kg_m3=1700.0)
-    file["material"] = {
-        k: {n: v for n, v in m.items() if n != "density_kg_m3"} for k, m in file["material"].items()
-    }
-    stack = cb.read_plate(file).plate.layup.plies
+    materials = {name: without_density(material) for name, material in HYBRID["material"].items()}
+    stack = cb.read_plate(hybrid(density_kg_m3=1700.0) | {"material": materials}).plate.layup.plies
     assert_allclose(stack.mass_moments, (0.0, 1.0), atol=1e-15)
 
 
 def test_plies_of_one_material_may_differ_in_thickness() -> None:
-    file = hybrid(density_kg_m3=1590.0, layup="[thick0/thin90]_s", thickness_mm=2.5)
-    file["ply"] = [{"name": "thick", "thickness_mm": 1.0}, {"name": "thin", "thickness_mm": 0.25}]
-    file["material"] = {k: v for k, v in file["material"]["carbon"].items() if k != "density_kg_m3"}
-    plate = cb.read_plate(file)
+    plate = cb.read_plate(of_one_material("[thick0/thin90]_s", 2.5, thick=1.0, thin=0.25))
     assert plate.material.constants["E1"] == 121.2e9
     assert_allclose(plate.plate.layup.plies.interfaces, [-0.5, -0.1, 0.0, 0.1, 0.5])
 
@@ -111,103 +116,68 @@ def test_a_layup_of_other_plies_is_refused(text: str, said: str) -> None:
         parse_layup("[c0/g45]")
 
 
-def spoilt(change: Any) -> dict[str, Any]:
-    file = deepcopy(HYBRID)
-    file["unknowns"] = deepcopy(UNKNOWNS)
-    change(file)
-    return file
-
-
-SPOILT = {
-    "thickness": (
+SPOILT: list[tuple[Any, str]] = [
+    (
         lambda f: f["plate"].update(thickness_mm=3.2),
         "plate.thickness_mm: not the sum of the plies, received 3.2, the plies of the layup make 3 mm",
     ),
-    "no ply": (lambda f: f.pop("ply"), "material: several materials, received carbon glass"),
-    "no layup": (lambda f: f["plate"].pop("layup"), "plate.layup: missing, accepted: a layup of named plies"),
-    "twice": (lambda f: f["ply"][1].update(name="c"), 'ply item 2.name: received "c" twice'),
-    "unknown material": (
+    (lambda f: f.pop("ply"), "material: several materials, received carbon glass"),
+    (lambda f: f["plate"].pop("layup"), "plate.layup: missing, accepted: a layup of named plies"),
+    (lambda f: f["ply"][1].update(name="c"), 'ply item 2.name: received "c" twice'),
+    (
         lambda f: f["ply"][0].update(material="karbon"),
         "ply item 1.material: no table [material.karbon], accepted: carbon glass",
     ),
-    "ply without material": (lambda f: f["ply"][0].pop("material"), "ply item 1.material: missing"),
-    "no thickness": (lambda f: f["ply"][0].pop("thickness_mm"), "ply item 1.thickness_mm: missing"),
-    "unused": (
-        lambda f: f["material"].update(steel=GLASS),
-        "material.steel: no ply of the layup is of it",
-    ),
-    "unknowns of none": (
+    (lambda f: f["ply"][0].pop("material"), "ply item 1.material: missing"),
+    (lambda f: f["ply"][0].pop("thickness_mm"), "ply item 1.thickness_mm: missing"),
+    (lambda f: f["material"].update(steel=GLASS), "material.steel: no ply of the layup is of it"),
+    (
         lambda f: f["unknowns"].update(steel={"E1_GPa": [1.0, 2.0]}),
         'unknowns.steel: of no material, received "steel"',
     ),
-    "flat unknowns": (
+    (
         lambda f: f.update(unknowns={"E1_GPa": [80.0, 180.0]}),
         'unknowns.E1_GPa: of no material, received "E1_GPa", accepted: tables [unknowns.NAME]',
     ),
-    "impossible": (
-        lambda f: f["material"]["glass"].update(E1_GPa=1.0),
-        "material.glass.E1_GPa: impossible constants",
+    (lambda f: f["material"]["glass"].update(E1_GPa=1.0), "material.glass.E1_GPa: impossible constants"),
+    (
+        lambda f: f["material"]["glass"].update(E1_GPa="stiff"),
+        'material.glass.E1_GPa: wrong type, received "stiff", accepted: a number above 0, in GPa',
     ),
-    "sd": (
+    (
         lambda f: f["material"]["glass"].update(sd={"G23_GPa": 0.1}),
         "material.glass.sd.G23_GPa: standard deviation of a number that [material] does not give",
     ),
-    "one density": (
-        lambda f: f["material"]["glass"].pop("density_kg_m3"),
-        "material.glass.density_kg_m3: missing",
-    ),
-    "density in g/cm3": (
+    (lambda f: f["material"]["glass"].pop("density_kg_m3"), "material.glass.density_kg_m3: missing"),
+    (
         lambda f: f["material"]["glass"].update(density_kg_m3=1.9),
         "material.glass.density_kg_m3: no density of a solid, received 1.9",
     ),
-    "both densities": (
-        lambda f: f["plate"].update(density_kg_m3=1700.0),
-        "plate.density_kg_m3: beside densities of the materials",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", SPOILT)
-def test_a_wrong_hybrid_is_refused_with_its_key(name: str) -> None:
-    change, said = SPOILT[name]
-    with pytest.raises(PlateFileError) as error:
-        cb.read_plate(spoilt(change))
-    assert [p for p in error.value.problems if said in p], error.value.problems
-    assert len(error.value.problems) == 1
+    (lambda f: f["plate"].update(density_kg_m3=1700.0), "plate.density_kg_m3: beside densities of the"),
+]
+OF_ONE: list[tuple[Any, str]] = [
+    (lambda f: f["ply"][0].update(material="carbon"), "ply item 1.material: beside one [material]"),
+    (lambda f: f["material"].update(density_kg_m3=1590.0), "material.density_kg_m3: of one material"),
+    (lambda f: f.update(unknowns={"carbon": {"E1_GPa": [80.0, 180.0]}}), "unknowns: tables for several"),
+    (lambda f: f["plate"].update(layup="[0/90]_s"), 'plate.layup: malformed layup: ply ""'),
+]
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("file", "change", "said"),
     [
-        (lambda f: f["ply"][0].update(material="carbon"), "ply item 1.material: beside one [material]"),
-        (lambda f: f["material"].update(density_kg_m3=1590.0), "material.density_kg_m3: of one material"),
-        (lambda f: f.update(unknowns={"carbon": {"E1_GPa": [80.0, 180.0]}}), "unknowns: tables for several"),
-        (lambda f: f["plate"].update(layup="[0/90]_s"), 'plate.layup: malformed layup: ply ""'),
+        *(({**HYBRID, "unknowns": UNKNOWNS}, *wrong) for wrong in SPOILT),
+        *((of_one_material("[c0/c90]_s", 1.0, c=0.25), *wrong) for wrong in OF_ONE),
     ],
+    ids=[said for _, said in SPOILT + OF_ONE],
 )
-def test_named_plies_of_one_material_are_of_no_other(change: Any, said: str) -> None:
-    file = hybrid(density_kg_m3=1590.0, layup="[c0/c90]_s", thickness_mm=1.0)
-    file["ply"] = [{"name": "c", "thickness_mm": 0.25}]
-    file["material"] = {k: v for k, v in HYBRID["material"]["carbon"].items() if k != "density_kg_m3"}
-    cb.read_plate(file)
-    change(file)
+def test_wrong_plies_and_materials_are_one_problem_with_its_key(
+    file: dict[str, Any], change: Any, said: str
+) -> None:
+    spoilt = deepcopy(file)
+    cb.read_plate(spoilt)
+    change(spoilt)
     with pytest.raises(PlateFileError) as error:
-        cb.read_plate(file)
-    assert [p for p in error.value.problems if said in p], error.value.problems
-
-
-def test_a_text_is_refused_with_its_line(tmp_path: Any) -> None:
-    path = tmp_path / "hybrid.toml"
-    path.write_text(
-        'name = "h"\n[plate]\nlength_mm = 300.0\nwidth_mm = 200.0\nthickness_mm = 1.0\nlayup = "[c0/g0]"\n'
-        'edges = "FFFF"\n[[ply]]\nname = "c"\nmaterial = "c"\nthickness_mm = 0.5\n[[ply]]\nname = "g"\n'
-        'material = "g"\nthickness_mm = 0.5\n[material.c]\nisotropic = true\nE1_GPa = 70.0\nnu12 = 0.3\n'
-        'density_kg_m3 = 2700.0\n[material.g]\nsymmetry = "isotropic"\nE1_GPa = "stiff"\nnu12 = 0.3\n'
-        "density_kg_m3 = 2700.0\n",
-        encoding="utf-8",
-    )
-    with pytest.raises(PlateFileError) as error:
-        cb.read_plate(str(path))
-    assert error.value.problems == (
-        f'{path}:23: material.g.E1_GPa: wrong type, received "stiff", accepted: a number above 0, in GPa',
-    )
+        cb.read_plate(spoilt)
+    (problem,) = error.value.problems
+    assert said in problem

@@ -45,7 +45,6 @@ LAYUPS: dict[str, tuple[float, ...]] = {
     "general": (10.0, -65.0, 40.0, 80.0, -25.0),
     "thirty-two": ANGLE_PLY_16S,
 }
-layups = pytest.mark.parametrize("layup", LAYUPS.values(), ids=LAYUPS)
 shear_models = pytest.mark.parametrize("shear", [ENERGY_CONSISTENT, FIVE_SIXTHS], ids=["energy", "5/6"])
 
 
@@ -83,12 +82,13 @@ def rotated_shear(angle_deg: float, constants: Mapping[str, float] = PLY) -> np.
 
 
 def summed(layup: tuple[float, ...], thickness: float = THICKNESS) -> np.ndarray:
-    """[A B; B D] by a sum over plies, (6, 6)."""
+    """[A B 0; B D 0; 0 0 A_s] by a sum over plies, A_s without a shear factor, (8, 8)."""
     z = np.linspace(-thickness / 2, thickness / 2, len(layup) + 1)
-    total = np.zeros((6, 6))
+    total = np.zeros((8, 8))
     for angle, bottom, top in zip(layup, z[:-1], z[1:], strict=True):
         moments = [(top**k - bottom**k) / k for k in (1, 2, 3)]
-        total += np.kron([[moments[0], moments[1]], [moments[1], moments[2]]], rotated_ply(angle))
+        total[:6, :6] += np.kron([[moments[0], moments[1]], [moments[1], moments[2]]], rotated_ply(angle))
+        total[SHEAR, SHEAR] += rotated_shear(angle) * moments[0]
     return total
 
 
@@ -102,7 +102,7 @@ def integrated_shear(layup: tuple[float, ...], thickness: float) -> np.ndarray:
     z = np.linspace(-thickness / 2, thickness / 2, len(layup) + 1)
     plies = [rotated_ply(angle) for angle in layup]
     shear_compliance = [np.linalg.inv(rotated_shear(angle)) for angle in layup]
-    response = np.linalg.inv(summed(layup, thickness))[:, 3:]  # strains, curvatures of a unit moment
+    response = np.linalg.inv(summed(layup, thickness)[:6, :6])[:, 3:]  # strains, curvatures of a unit moment
 
     def ply_at(level: float) -> int:
         return min(int(np.searchsorted(z, level, side="right")) - 1, len(layup) - 1)
@@ -143,35 +143,21 @@ def close(found: np.ndarray, expected: np.ndarray, digits: float = 1e-12) -> Non
     )
 
 
-# A, B, D
-
-
-@pytest.mark.parametrize("angle", [-90.0, -63.0, -45.0, -10.0, 0.0, 30.0, 45.0, 77.0, 90.0])
-def test_a_turned_ply_is_the_turned_tensor(angle: float) -> None:
-    expected = np.zeros((8, 8))
-    expected[MEMBRANE, MEMBRANE] = rotated_ply(angle) * THICKNESS
-    expected[CURVATURE, CURVATURE] = rotated_ply(angle) * THICKNESS**3 / 12
-    expected[SHEAR, SHEAR] = rotated_shear(angle) * THICKNESS
-    close(stiffness((angle,), shear=UNCORRECTED), expected)
-
-
-@layups
-def test_a_b_and_d_are_the_sums_over_the_plies_and_a_symmetric_layup_has_no_coupling_at_all(
+@pytest.mark.parametrize("layup", LAYUPS.values(), ids=LAYUPS)
+def test_stiffness_is_the_sum_over_the_plies_and_a_symmetric_layup_has_no_coupling_at_all(
     layup: tuple[float, ...],
 ) -> None:
-    found = stiffness(layup)
-    close(found[:6, :6], summed(layup))
+    found, expected = stiffness(layup), summed(layup)
+    close(found[:6, :6], expected[:6, :6])
     assert np.all(found[:6, 6:] == 0.0)
     np.testing.assert_array_equal(found, found.T)
     assert np.all(found[MEMBRANE, CURVATURE] == 0.0) == (layup == layup[::-1])
+    close(stiffness(layup, shear=UNCORRECTED), expected)
+    sixths = stiffness(layup, shear=FIVE_SIXTHS)[SHEAR, SHEAR]
+    close(sixths, expected[SHEAR, SHEAR] * 5 / 6)
 
 
-# A_s
-
-
-@pytest.mark.parametrize(
-    "name", ["single", "off-axis", "cross", "angle", "symmetric-cross", "odd-symmetric", "general"]
-)
+@pytest.mark.parametrize("name", [name for name in LAYUPS if name != "thirty-two"])
 def test_shear_stiffness_is_the_energy_of_the_equilibrium_stresses(name: str) -> None:
     expected = integrated_shear(LAYUPS[name], THICKNESS)
     found = stiffness(LAYUPS[name])[SHEAR, SHEAR]
@@ -199,53 +185,9 @@ def test_shear_factors_of_a_120_ply_cross_ply_are_those_of_vlachoutsis(
     np.testing.assert_allclose(factor, [k23, k13], rtol=0, atol=5e-5)
 
 
-# Invariances
-
-
-@layups
-@shear_models
-def test_a_quarter_turn_of_the_layup_exchanges_the_axes(layup: tuple[float, ...], shear: ShearModel) -> None:
-    turned = stiffness(np.asarray(layup) + 90.0, shear=shear)
-    order = np.array([1, 0, 2, 4, 3, 5, 7, 6])
-    sign = np.array([1, 1, -1, 1, 1, -1, 1, -1])  # shears change sign, one of the two transverse ones
-    expected = stiffness(layup, shear=shear)[np.ix_(order, order)] * sign[:, None] * sign
-    close(turned, expected)
-
-
-@layups
-@shear_models
-def test_splitting_every_ply_changes_nothing(layup: tuple[float, ...], shear: ShearModel) -> None:
-    whole = stiffness(layup, shear=shear)
-    split = np.repeat(layup, 3)
-    close(stiffness(split, shear=shear), whole)
-    close(stiffness(split[None], shear=shear)[0], whole)  # a stack of layups does not merge plies
-
-
-@layups
-def test_a_symmetric_layup_is_integrated_over_half_or_over_all_alike(layup: tuple[float, ...]) -> None:
-    both = np.array([*layup, *layup[::-1]])
-    half = laminate_geometry(both, symmetric=True)
-    whole = laminate_geometry(both, symmetric=False)
-    assert half.symmetric
-    assert not whole.symmetric
-    close(
-        laminate_stiffness(PLY, half, THICKNESS),
-        laminate_stiffness(PLY, whole, THICKNESS),
-    )
-
-
-@pytest.mark.parametrize("factor", [0.5, 3.0])
-def test_thickness_scales_a_b_d_and_a_s_by_its_powers(factor: float) -> None:
-    layup = LAYUPS["general"]
-    thin, thick = stiffness(layup), stiffness(layup, thickness=factor * THICKNESS)
-    power = np.array([0, 0, 0, 1, 1, 1, 0, 0])
-    np.testing.assert_allclose(thick, thin * factor ** (1.0 + power[:, None] + power), rtol=1e-13)
-
-
-# Derivatives and stacks
-
-
-@layups
+@pytest.mark.parametrize(
+    "layup", [LAYUPS["symmetric-cross"], LAYUPS["general"]], ids=["symmetric", "general"]
+)
 @shear_models
 @pytest.mark.parametrize("name", [*PLY, "thickness"])
 def test_complex_step_derivative_is_the_difference_quotient(
@@ -262,15 +204,11 @@ def test_complex_step_derivative_is_the_difference_quotient(
     exact = p * at(p + 1e-30j * p).imag / (1e-30 * p)
     slopes = [(at(p + k * step).real - at(p - k * step).real) * p / (2 * k * step) for k in (1, 2)]
     # Richardson's error is of the order (1e-4)^4, rounding 1e-15 / 1e-4: 1e-10 of the block leaves room
-    same_slope(exact, (4 * slopes[0] - slopes[1]) / 3, at(p).real)
-
-
-def same_slope(found: np.ndarray, expected: np.ndarray, whole: np.ndarray) -> None:
-    """Derivatives equal to 1e-10 of the largest entries of the stiffness, block by block."""
-    scale = block_scales(whole)
-    found, expected = found / scale[:, None] / scale, expected / scale[:, None] / scale
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10)
-    assert np.abs(expected).max() > 1e-6, "a derivative that is zero proves nothing"
+    expected = (4 * slopes[0] - slopes[1]) / 3
+    scale = block_scales(at(p).real)
+    same = np.abs(exact - expected) <= 1e-10 * scale[:, None] * scale
+    assert same.all()
+    assert np.abs(expected / scale[:, None] / scale).max() > 1e-6, "a derivative that is zero proves nothing"
 
 
 @shear_models
@@ -288,9 +226,6 @@ def test_a_stack_of_layups_and_constants_equals_the_loop(shear: ShearModel, symm
     for i in range(n):
         own = {name: value[i] for name, value in constants.items()}
         close(stack[i], stiffness(angles[i], own, thickness[i], shear))
-
-
-# Engineering constants
 
 
 def test_flexural_constants_of_one_material_are_its_own() -> None:
@@ -370,17 +305,6 @@ def test_a_soft_core_between_thin_faces_carries_all_the_shear() -> None:
     assert_allclose(shear, expected * np.eye(2), rtol=2e-3, atol=1e-6 * expected)
 
 
-def test_constants_of_one_material_may_vary_and_of_the_other_not() -> None:
-    constants = named(a=CARBON, b=GLASS)
-    e1 = np.array([100e9, 120e9, 140e9])
-    plies = stack([1.0, 2.0, 1.0], [0, 1, 0], ("a", "b"))
-    geometry = laminate_geometry([0.0, 45.0, 0.0], plies=plies)
-    together = laminate_stiffness({**constants, "a.E1": e1}, geometry, H)
-    for k, value in zip(together, e1, strict=True):
-        one = laminate_stiffness({**constants, "a.E1": np.asarray(value)}, geometry, H)
-        assert_allclose(k, one, rtol=1e-13, atol=1e-13 * np.abs(one).max())
-
-
 @pytest.mark.parametrize("angles", [[0, 45, 45, 0], [0, 45, 90, -30]])
 def test_first_order_of_a_hybrid_is_its_complex_step(angles: list[float]) -> None:
     geometry = laminate_geometry(angles, plies=stack([2.0, 1.0, 1.0, 2.0], [0, 1, 1, 0], ("a", "b")))
@@ -402,7 +326,6 @@ def test_first_order_of_a_hybrid_is_its_complex_step(angles: list[float]) -> Non
 
 COMPOSITE = "transversely_isotropic"
 FABRIC = {"E1": 60e9, "E2": 60e9, "nu12": 0.05, "G12": 4e9}
-SPRUCE = {"E1": 11e9, "E2": 0.9e9, "nu12": 0.51, "G12": 0.8e9}
 
 
 def test_left_out_shear_moduli_follow_eq_6_or_are_the_in_plane_one_and_given_ones_are_kept():
@@ -438,14 +361,6 @@ def test_complex_step_derivatives_match_central_differences(symmetry):
             assert complex(derivative).imag / 1e-30 == pytest.approx(difference, abs=1e-9 * scale)
 
 
-def test_arrays_keep_their_shape():
-    E1 = np.linspace(50e9, 150e9, 6).reshape(2, 3)
-    constants = CARBON | {"E1": E1}
-    assert complete_constants(constants, COMPOSITE)["G23"].shape == (2, 3)
-    assert constraint_violations(constants, COMPOSITE).shape == (2, 3, 4)
-    assert is_admissible(constants, COMPOSITE).all()
-
-
 @pytest.mark.parametrize(
     ("change", "broken"),
     [
@@ -462,47 +377,28 @@ def test_each_constraint_of_eq_9_is_seen(change, broken):
     assert list(np.flatnonzero(found)) == broken
 
 
-@pytest.mark.parametrize("nu", [-1.01, -0.99, 0.0, 0.499, 0.501, 1.0])
-def test_isotropic_poissons_ratios_lie_within_minus_one_and_half(nu):
-    assert is_admissible({"E1": 69e9, "nu12": nu}, "isotropic") == (-1.0 < nu < 0.5)
-
-
-@pytest.mark.parametrize("name", ["E1", "E2", "G12", "G13", "G23"])
-def test_a_modulus_that_is_not_positive_is_not_admissible(name):
+def test_moduli_are_positive_and_isotropic_poissons_ratios_within_minus_one_and_half():
+    for nu in (-1.01, -0.99, 0.0, 0.499, 0.501, 1.0):
+        assert is_admissible({"E1": 69e9, "nu12": nu}, "isotropic") == (-1.0 < nu < 0.5)
     constants = CARBON | {"G13": 5e9, "G23": 3e9}
     assert is_admissible(constants, COMPOSITE)
-    assert not is_admissible(constants | {name: 0.0}, COMPOSITE)
-    assert not is_admissible(constants | {name: -1e9}, COMPOSITE)
+    for name in ("E1", "E2", "G12", "G13", "G23"):
+        assert not is_admissible(constants | {name: 0.0}, COMPOSITE)
+        assert not is_admissible(constants | {name: -1e9}, COMPOSITE)
 
 
 @pytest.mark.parametrize(
-    ("constants", "symmetry"),
-    [
-        ({"E1": 1.0}, "isotropic"),
-        ({"E1": 1.0, "nu12": 0.3, "E2": 1.0}, "isotropic"),
-        ({"E1": 1.0}, COMPOSITE),
-        ({"E1": 1.0, "E2": 1.0, "nu12": 0.3}, "orthotropic"),
-    ],
+    ("symmetry", "names"), [("isotropic", "E1 nu12 E2"), ("isotropic", "E1"), ("orthotropic", "E1 E2 nu12")]
 )
-def test_missing_and_unknown_constants_are_refused(constants, symmetry):
+def test_missing_and_unknown_constants_are_refused(symmetry, names):
     with pytest.raises(ValueError, match="required"):
-        complete_constants(constants, symmetry)
-
-
-@pytest.mark.parametrize("constants", [FABRIC, SPRUCE, FABRIC | {"E1": 30e9}])
-def test_fabrics_and_wood_are_orthotropic_and_break_eq_9(constants):
-    assert is_admissible(constants, "orthotropic")
-    assert not is_admissible(constants, COMPOSITE)
-
-
-def plane_stress_is_positive_definite(constants):
-    """By the eigenvalues of the compliance of one ply in plane stress, scaled to a unit diagonal."""
-    nu12, ratio = constants["nu12"], constants["E1"] / constants["E2"]
-    return bool(np.linalg.eigvalsh([[1.0, -nu12], [-nu12, ratio]])[0] > 0.0)
+        complete_constants(dict.fromkeys(names.split(), 0.3), symmetry)
 
 
 @pytest.mark.parametrize("ratio", [0.05, 0.5, 1.0, 3.0, 15.0])
 def test_an_orthotropic_ply_is_positive_definite_and_no_more_is_asked_of_it(ratio):
     for nu12 in (-4.0, -1.5, -0.9, -0.2, 0.0, 0.2, 0.6, 0.99, 1.7, 4.0):
+        # the compliance in plane stress, scaled to a unit diagonal of E1
+        compliance = [[1.0, -nu12], [-nu12, ratio]]
         constants = {"E1": ratio, "E2": 1.0, "nu12": nu12, "G12": 0.1}
-        assert is_admissible(constants, "orthotropic") == plane_stress_is_positive_definite(constants)
+        assert is_admissible(constants, "orthotropic") == (np.linalg.eigvalsh(compliance)[0] > 0.0)

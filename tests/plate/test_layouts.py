@@ -16,9 +16,8 @@ WRITTEN = {
     "bars": TABLE.replace(",", " | "),
     "spaces": "  mode   hz  damping\n 1 101.5  0.004\n 2   305.25 0.002 \n 3 333\n",
     "decimal commas in quotes": '"mode","hz","damping"\n"1","101,5","0,004"\n2,"305,25","0,002"\n3,333,\n',
-    "no space to spare": TABLE.replace("\n", "\r\n"),
     "a byte order mark": TABLE.encode("utf-8-sig"),
-    "UTF-16": TABLE.encode("utf-16"),
+    "UTF-16": TABLE.replace("\n", "\r\n").encode("utf-16"),
     "Windows-1252": f"# Schl\u00e4ge\n{TABLE}".encode("cp1252"),
     "lines above, comments and empty lines": f"Project;bar 7, hung\nDate 3.4.\n\n# heads\n{TABLE}\n# end\n\n",
     "a separator that is declared": "sep=;\n" + TABLE.replace(",", ";").replace(".", ","),
@@ -46,23 +45,17 @@ WRITTEN_IN_LABORATORIES: dict[str, str | bytes] = {
     "a line of other units": "Frequenz;Amplitude;Q\nHz;m/s\u00b2;-\n101,5;2;9\n305,25;2;\n333;3;\n",
     "wide, frequency of mode 1": wide(",", [f"Frequency of mode {i}" for i in (1, 2, 3)], first="Run"),
     "wide, Mode 1 frequency [Hz]": wide(",", [f"Mode {i} frequency [Hz]" for i in (1, 2, 3)]),
-    "long, German, cp1252": "Nr;Eigenfrequenz in Hz;D\u00e4mpfung\n1;101,5;0,01\n2;305,25;\n3;333;\n".encode(
-        "cp1252"
-    ),
     "long, Russian": "\u0447\u0430\u0441\u0442\u043e\u0442\u0430\n101,5\n305,25\n333\n",
     "long, Chinese": "\u9891\u7387\n101.5\n305.25\n333\n".encode("utf-16"),
     "a head that is not known, in Hz": "Mode;Messwert [Hz]\n1;101,5\n2;305,25\n3;333\n",
     "units after a slash": "Mode;Frequenz/Hz\n1;101,5\n2;305,25\n3;333\n",
-    "a line of units": "Mode;Frequenz\n;Hz\n1;101,5\n2;305,25\n3;333\n",
     "a line of units in brackets": "Mode;f\n[-];[kHz]\n1;0,1015\n2;0,30525\n3;0,333\n",
     "long, hits in any language": "Schlag;Mode;Frequenz\n" + "".join(
         f"{i};{m};{f}\n" for i, hit in enumerate(TAPPED, 1) for m, f in enumerate(hit, 1)
     ),
     "wide, no column of hits": wide(",", THREE),
     "wide, Mode_1 [Hz]": wide("\t", ["Mode_1 [Hz]", "Mode_2 [Hz]", "Mode_3 [Hz]"], first="Messung"),
-    "wide, f1": wide(" ", ["f1", "f2", "f3"], first="tap"),
     "wide, f_1": wide(",", ["f_1", "f_2", "f_3"], first=""),
-    "wide, Frequenz 1": wide(";", ["Frequenz 1", "Frequenz 2", "Frequenz 3"], first="Versuch", mark=","),
     "wide, Eigenform 1": wide(";", ["Eigenform 1", "Eigenform 2", "Eigenform 3"], first="Nr"),
     "wide, coup": wide(";", ["ordre 1", "ordre 2", "ordre 3"], first="coup", mark=","),
     "wide, a head that is not known for the hits": wide(";", THREE, first="wer"),
@@ -77,12 +70,11 @@ WRITTEN_IN_LABORATORIES: dict[str, str | bytes] = {
     "across, hit 1": across(",", ["Mode", "hit 1", "hit 2"]),
     "across, Messung 1": across(";", ["Nr", "Messung 1 [Hz]", "Messung 2 [Hz]"]),
     "xlsx, long": sheet(LONG),
-    "xlsx, wide": sheet(WIDE),
     "xlsx, lines above": sheet([["Platte 7"], [], *WIDE]),
     "xlsx, the second sheet": sheet(LONG, before=[["notes"], ["tapped on foam"]]),
     # further from how the documentation has them
     "German, spelt out":
-        "Modennummer;Eigenfrequenz [Hz];D\u00e4mpfung [%]\n1;101,5;0,4\n2;305,25;0,3\n3;333;0,2\n",
+        "Modennummer;Eigenfrequenz in Hz;D\u00e4mpfung\n1;101,5;0,01\n2;305,25;\n3;333;\n".encode("cp1252"),
     "French, spaces that do not break":
         "Ordre;Fr\u00e9quence\u00a0propre\u00a0(Hz)\n1;101,5\n2;305,25\n3;333\n",
     "Spanish":
@@ -119,7 +111,6 @@ WRITTEN_IN_LABORATORIES: dict[str, str | bytes] = {
         "Mode;Einheit;1;2;3\nFrequenz;kHz;0,1015;0,30525;0,333\nAmplitude;g;105;301;330\n",
     "hits in kHz by their rows":
         "Mode;1;2;3\nHit 1 [kHz];0,1014;0,3052;0,3331\nHit 2 [kHz];0,1016;0,3053;0,3329\n",
-    "columns of hits with numbers alone": "Mode;1;2\n1;101,4;101,6\n2;305,2;305,3\n3;333,1;332,9\n",
     "columns of hits headed f1": "Nr;f1;f2\n1;101,4;101,6\n2;305,2;305,3\n3;333,1;332,9\n",
     "two lines of heads": "Mode;Frequency [Hz];\n;hit 1;hit 2\n1;101,4;101,6\n2;305,2;305,3\n3;333,1;332,9\n",
     "a line of units with its name":
@@ -155,89 +146,41 @@ def test_marks_between_thousands_are_read_where_they_can_be_nothing_else(measure
     assert measured('Mode,f\n1,901.5\n2,"1,234.5"\n').frequencies.tolist() == [901.5, 1234.5]
 
 
-# Tables that mean two things, or none: what must be said
-AMBIGUOUS: dict[str, tuple[str | bytes, str]] = {
-    "thousands or decimals": ("Mode;f\n1;901\n2;1.234\n3;2.345\n", "received 901, 1.234, 2.345"),
-    "thousands or decimals, one column": ("f [Hz]\n901\n1,234\n2,345\n", "no mark between thousands"),
-    "all above a thousand": ("Mode;f [Hz]\n1;1.234\n2;2.345\n3;3.456\n", "no mark between thousands"),
-    "kHz without saying so": ("Mode;f\n1;0,1015\n2;0,30525\n3;0,333\n", "a unit in the head, Hz or kHz"),
-    "kHz above the heads of hits": (
-        "Mode;Frequency [kHz];\n;hit 1;hit 2\n1;0,1014;0,1016\n2;0,3052;0,3053\n",
-        "a unit in the head",
-    ),
-    "decimal commas between commas": (
-        "Mode,f [Hz],Damping [%]\n1,101,5\n2,305,2\n3,333,0\n",
-        "101,5, two cells",
-    ),
-    "decimal commas, and comments": (
-        "Mode,f [Hz],Note\n1,101,5,\n2,305,2,\n3,333,0,\n",
-        "are these decimal commas?",
-    ),
-    "decimal commas in a wide table": (
-        "hit,1,2,3,4\n1,101,5,305,2\n",
-        "are these decimal commas",
-    ),
-    "a separator of the heads and one of the rows": ("Mode,f\n1;101,5\n2;305,25\n", 'received "1;101"'),
-    "a width in Hz, and peaks": ("Mode;Peak;Bandwidth (Hz)\n1;101,5;1,1\n2;305,25;3,1\n", "or Peak?"),
-    "a scatter in Hz, and means": ("Mode;Mittelwert;Std [Hz]\n1;101,5;0,5\n2;305,25;0,5\n", "or Mittelwert?"),
-    "test and model": ("Mode;FEM [Hz];Test [Hz]\n1;103;101,5\n2;309;305,25\n", "[measurement.columns]"),
-    "several plates": (
-        "Plate;Mode;f [Hz]\nA;1;101,4\nA;2;305,2\nB;1;103,6\nB;2;308\n",
-        "several plates, received A, B",
-    ),
-    "several plates, wide": ("Platte;1;2\nA;101,4;305,2\nB;103,6;308\n", "a table for each"),
-    "hits below no mode": ("Mode;f\n1;101,4\n;101,6\n2;305,2\n;305,3\n", "line 3, column mode: missing"),
-    "a row that is no hit": (
-        "hit;1;2\n1;101,4;305,2\n2;101,6;305,3\nSchnitt;101,5;305,3\n",
-        "received Schnitt",
-    ),
-    "a spectrum": (
-        "Frequency [Hz],Amplitude\n" + "".join(f"{0.5 * i},{i}\n" for i in range(1, 60)),
-        "the lines of a spectrum",
-    ),
-    "two tables beside each other": (
-        "Mode;f;;Mode;f\n1;101,5;;1;103,6\n2;305;;2;309\n",
-        "a second column mode",
-    ),
-    "two lines of heads of other things": (
-        "Mode;f [Hz];\n;FEM;Test\n1;103;101,5\n2;309;305,25\n",
-        "3 cells for 2",
-    ),
-    "heads in the wrong order": ("f [Hz];Mode\n1;101,5\n2;305,25\n", "the numbers of modes, received 1, 2"),
-    "no heads, two columns": ("0,1;101,5\n0,2;305,25\n0,1;333\n", "a line of heads above the numbers"),
-    "no heads, commas": ("1,101\n2,305\n3,333\n", "no mark between thousands"),
-    "words of heads apart by one space": (
-        "Mode Natural frequency (Hz) Loss\n1 101.5 0.4\n2 305 0.3\n",
-        "no column",
-    ),
-    "rigid-body motions": (
-        "Mode,f [Hz]\n1,0.0\n2,0\n3,101.5\n",
-        "received 0.0, accepted: a frequency above 0; so is 1",
-    ),
-    "more or less": (
-        "Mode;f [Hz]\n1;101,5 \u00b1 0,1\n2;305,25 \u00b1 0,2\n",
-        '\u00b1 0,1", accepted: a frequency',
-    ),
-    "a mode that is not seen": (
-        "Mode;f [Hz]\n1;101,5\n2;n/a\n3;305,25\n",
-        "mode 2 is left out, accepted: complete",
-    ),
-    "xlsx, a date that a sheet made of a number": (
-        sheet([["Mode", "f [Hz]"], [1, datetime.datetime(2024, 5, 1)], [2, 305.25]]),
-        'received "2024-05-01',
-    ),
-    "xlsx, a first table that is wrong": (
-        sheet(
-            [["Mode", "f [Hz]"], [1, 111.5], [2, 315.0]],
-            before=[["Mode", "f [Hz]"], [1, "see below"], [2, 305]],
-        ),
-        'received "see below"',
-    ),
-}
+# What must be said, and a table that means two things, or none
+AMBIGUOUS: list[tuple[str, str | bytes]] = [
+    ("received 901, 1.234, 2.345", "Mode;f\n1;901\n2;1.234\n3;2.345\n"),
+    ("no mark between thousands", "f [Hz]\n901\n1,234\n2,345\n"),
+    ("no mark between thousands", "Mode;f [Hz]\n1;1.234\n2;2.345\n3;3.456\n"),
+    ("a unit in the head, Hz or kHz", "Mode;f\n1;0,1015\n2;0,30525\n3;0,333\n"),
+    ("a unit in the head", "Mode;Frequency [kHz];\n;hit 1;hit 2\n1;0,1014;0,1016\n2;0,3052;0,3053\n"),
+    ("101,5, two cells", "Mode,f [Hz],Damping [%]\n1,101,5\n2,305,2\n3,333,0\n"),
+    ("are these decimal commas?", "Mode,f [Hz],Note\n1,101,5,\n2,305,2,\n3,333,0,\n"),
+    ("are these decimal commas", "hit,1,2,3,4\n1,101,5,305,2\n"),
+    ('received "1;101"', "Mode,f\n1;101,5\n2;305,25\n"),
+    ("or Peak?", "Mode;Peak;Bandwidth (Hz)\n1;101,5;1,1\n2;305,25;3,1\n"),
+    ("or Mittelwert?", "Mode;Mittelwert;Std [Hz]\n1;101,5;0,5\n2;305,25;0,5\n"),
+    ("[measurement.columns]", "Mode;FEM [Hz];Test [Hz]\n1;103;101,5\n2;309;305,25\n"),
+    ("several plates, received A, B", "Plate;Mode;f [Hz]\nA;1;101,4\nA;2;305,2\nB;1;103,6\nB;2;308\n"),
+    ("a table for each", "Platte;1;2\nA;101,4;305,2\nB;103,6;308\n"),
+    ("line 3, column mode: missing", "Mode;f\n1;101,4\n;101,6\n2;305,2\n;305,3\n"),
+    ("received Schnitt", "hit;1;2\n1;101,4;305,2\n2;101,6;305,3\nSchnitt;101,5;305,3\n"),
+    ("the lines of a spectrum", "Frequency [Hz],Level\n" + "".join(f"{0.5 * i},{i}\n" for i in range(1, 60))),
+    ("a second column mode", "Mode;f;;Mode;f\n1;101,5;;1;103,6\n2;305;;2;309\n"),
+    ("3 cells for 2", "Mode;f [Hz];\n;FEM;Test\n1;103;101,5\n2;309;305,25\n"),
+    ("the numbers of modes, received 1, 2", "f [Hz];Mode\n1;101,5\n2;305,25\n"),
+    ("a line of heads above the numbers", "0,1;101,5\n0,2;305,25\n0,1;333\n"),
+    ("no mark between thousands", "1,101\n2,305\n3,333\n"),
+    ("no column", "Mode Natural frequency (Hz) Loss\n1 101.5 0.4\n2 305 0.3\n"),
+    ("received 0.0, accepted: a frequency above 0; so is 1", "Mode,f [Hz]\n1,0.0\n2,0\n3,101.5\n"),
+    ('\u00b1 0,1", accepted: a frequency', "Mode;f [Hz]\n1;101,5 \u00b1 0,1\n2;305,25 \u00b1 0,2\n"),
+    ("mode 2 is left out, accepted: complete", "Mode;f [Hz]\n1;101,5\n2;n/a\n3;305,25\n"),
+    ('received "2024-05-01', sheet([["Mode", "f [Hz]"], [1, datetime.datetime(2024, 5, 1)], [2, 305.25]])),
+    ('received "see below"', sheet(LONG, before=[["Mode", "f [Hz]"], [1, "see below"], [2, 305]])),
+]
 
 
-@pytest.mark.parametrize(("content", "said"), AMBIGUOUS.values(), ids=AMBIGUOUS)
-def test_what_may_be_read_wrongly_is_one_message(refused, content: str | bytes, said: str) -> None:
+@pytest.mark.parametrize(("said", "content"), AMBIGUOUS, ids=[said for said, _ in AMBIGUOUS])
+def test_what_may_be_read_wrongly_is_one_message(refused, said: str, content: str | bytes) -> None:
     (problem,) = refused(content)
     assert said in problem
     assert "accepted" in problem

