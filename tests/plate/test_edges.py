@@ -11,19 +11,14 @@ from cpam_bayes.mechanics.problem import rigid_body_count
 from cpam_bayes.plate.edges import CONDITIONS, FIELDS, STATED, conditions, is_stated, yielding
 
 
-def test_conditions_stand_in_the_order_of_the_letters() -> None:
-    x0, y0, x1, y1 = conditions("CFSF")
-    assert (x0.name, y0.name, x1.name, y1.name) == ("clamped", "free", "simply supported", "free")
-    assert y0.is_free
-    assert not x1.is_free
-
-
-@pytest.mark.parametrize("letter", CONDITIONS)
-def test_nothing_is_both_held_and_sprung(letter: str) -> None:
-    condition = CONDITIONS[letter]
-    for held in (condition.held_x, condition.held_y):
-        assert set(held) <= set(FIELDS)
-        assert not set(held) & set(condition.sprung)
+def test_conditions_stand_in_the_order_of_the_letters_and_hold_nothing_that_is_sprung() -> None:
+    names = [condition.name for condition in conditions("CFSF")]
+    assert names == ["clamped", "free", "simply supported", "free"]
+    assert [condition.is_free for condition in conditions("CFSF")] == [False, True, False, True]
+    for condition in CONDITIONS.values():
+        for held in (condition.held_x, condition.held_y):
+            assert set(held) <= set(FIELDS)
+            assert not set(held) & set(condition.sprung)
 
 
 def test_only_conditions_with_a_name_are_stated_in_a_plate_file() -> None:

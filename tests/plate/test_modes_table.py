@@ -1,7 +1,6 @@
 """A table of modes is read as instruments and laboratories write it, and errors have their place."""
 
 import io
-import itertools
 import zipfile
 from pathlib import Path
 
@@ -93,15 +92,6 @@ def test_the_interval_of_few_hits_holds_a_further_one_as_often_as_it_says(n: int
     inside = np.abs(further - hits.mean(axis=1)) < half * np.sqrt(1.0 + 1.0 / n)
     # four standard errors of 20 000 trials
     assert inside.mean() == pytest.approx(0.95, abs=0.0062)
-
-
-def test_the_order_of_rows_changes_nothing(measured) -> None:
-    head, *rows = HITS.splitlines()
-    expected = measured(HITS)
-    for order in itertools.islice(itertools.permutations(rows), 1, 5000, 700):
-        found = measured("\n".join((head, *order)))
-        np.testing.assert_allclose(found.frequencies, expected.frequencies, rtol=1e-13)
-        np.testing.assert_allclose(found.frequency_sd, expected.frequency_sd, rtol=1e-9)
 
 
 def test_a_weight_of_0_leaves_a_hit_out_and_others_weigh(measured) -> None:

@@ -1,15 +1,13 @@
 """What a new user writes, gives and types is understood, or refused with one message that has the cure."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cpam_bayes.errors import PlateFileError
-from cpam_bayes.plate import Specimen
-from cpam_bayes.plate.reader import read_plate
-from tests.plate_file import Run, described, refused
+from cpam_bayes.plate.reader import parse_specimen, read_plate
+from tests.plate_file import Run, refused
 
 GOOD = """\
 name = "panel"
@@ -154,34 +152,11 @@ FILES = [
     ("plate.toml", b"# to be done\n", "nothing is in it"),
 ]
 
-# what is typed, and what the one message must hold
-TYPED = [
-    (["forward", "panle.toml"], "panle.toml: no such file, the nearest there is panel.toml"),
-    (["forward", "panel"], "no such file, the nearest there is panel.toml"),
-    (["identfy", "panel.toml"], "invalid choice: 'identfy'"),
-    (["panel.toml"], "invalid choice: 'panel.toml'"),
-    (["identify", "panel.toml", "--sed", "3"], "unrecognized arguments: --sed 3"),
-    (["identify", "panel.toml", "--seed", "x"], "--seed: received 'x', accepted: a whole number"),
-    (["identify", "panel.toml", "--seed"], "--seed: expected one argument"),
-    (["forward", "panel.toml", "--out", "panel.toml"], "a file, accepted: a directory"),
-    (["forward", "panel.toml", "--xlsx", "modes.csv"], "accepted: a file that ends in .xlsx"),
-    (["compare", "panel.toml"], "the following arguments are required: B"),
-    (["batch", "panel.toml", "--limit", "E = 65"], "limit: received 'E = 65'"),
-    (["predict", "panel.toml", "A1"], "accepted: the posterior first, then the plate"),
-    (["new", "panel.toml"], "panel.toml: exists; give another name"),
-]
-
-
-def read(tmp_path, text: str) -> Specimen:
-    path = tmp_path / "panel.toml"
-    path.write_text(text, encoding="utf-8")
-    return read_plate(path)
-
 
 @pytest.mark.parametrize(("good", "written"), UNDERSTOOD, ids=[written for _, written in UNDERSTOOD])
-def test_what_can_mean_one_thing_is_understood(tmp_path, good: str, written: str) -> None:
+def test_what_can_mean_one_thing_is_understood(good: str, written: str) -> None:
     assert GOOD.count(good) == 1
-    meant, found = read(tmp_path, GOOD), read(tmp_path, GOOD.replace(good, written))
+    meant, found = (parse_specimen(text, "panel.toml") for text in (GOOD, GOOD.replace(good, written)))
     assert found.plate.edges == meant.plate.edges
     assert found.plate.layup.angles_deg.tolist() == meant.plate.layup.angles_deg.tolist()
     sizes = [(p.plate.length, p.plate.width, p.plate.thickness, p.plate.mass) for p in (found, meant)]
@@ -204,9 +179,9 @@ def test_a_slip_is_one_message_with_its_cure(run: Run, tmp_path, good: str, writ
     assert len(answer[2]) < 600 + len(str(path))
 
 
-def test_no_cure_has_a_part_of_a_number(tmp_path) -> None:
+def test_no_cure_has_a_part_of_a_number() -> None:
     with pytest.raises(PlateFileError, match="not valid TOML") as refusal:
-        read(tmp_path, GOOD.replace(LIST, "[80,5,2 146,3]"))
+        parse_specimen(GOOD.replace(LIST, "[80,5,2 146,3]"), "panel.toml")
     assert "2, 146" not in str(refusal.value)
 
 
@@ -219,26 +194,9 @@ def test_what_is_no_plate_file_is_one_message(
     refused(run("forward", path), str(path), said)
 
 
-@pytest.mark.parametrize(("argv", "said"), TYPED, ids=[" ".join(argv) for argv, _ in TYPED])
-def test_what_is_mistyped_is_one_message(
-    run: Run, tmp_path, monkeypatch: pytest.MonkeyPatch, argv: list[str], said: str
-) -> None:
-    Path(tmp_path, "panel.toml").write_text(GOOD, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    refused(run(*argv), said)
-    assert Path("panel.toml").read_text(encoding="utf-8") == GOOD
-
-
-def test_a_single_frequency_is_answered(run: Run, tmp_path) -> None:
-    path = tmp_path / "panel.toml"
-    path.write_text(GOOD.replace(LIST, "[80.2]"), encoding="utf-8")
-    status, out, err = run("forward", path, "--quiet")
-    assert (status, err) == (0, "")
-    assert "1 natural frequency" in out
-
-
-def test_a_repeatability_in_per_cent_is_warned_of(tmp_path) -> None:
-    (said,) = read(tmp_path, GOOD.replace("relative_std = 0.002", "relative_std = 0.2")).measurement.remarks
+def test_a_repeatability_in_per_cent_is_warned_of() -> None:
+    text = GOOD.replace("relative_std = 0.002", "relative_std = 0.2")
+    (said,) = parse_specimen(text, "panel.toml").measurement.remarks
     assert "20 % of a frequency" in said
     assert "0.2 % is 0.002" in said
 
@@ -258,11 +216,3 @@ def test_a_file_is_read_however_an_editor_saves_it_through_a_link_too(tmp_path, 
     path.write_bytes(text.encode(codec))
     link.symlink_to(path)
     assert read_plate(path).name == read_plate(link).name == "Pr\u00fcfplatte"
-
-
-def test_a_mapping_is_understood_as_a_file_is() -> None:
-    plate = described(
-        (200, 100, 3), 2700, {"isotropic": True, "E1_GPa": "69,0", "nu12": 0.33}, edges="clamped"
-    )
-    found = read_plate(plate)
-    assert (found.plate.edges, found.material.constants["E1"]) == ("CCCC", 69e9)
