@@ -14,7 +14,6 @@ FULL = """\
 name = "plate 7"
 specimen = "seven"
 notes = ["cut from the edge"]
-
 [plate]
 length_mm = 260.0
 width_mm = 250
@@ -23,11 +22,9 @@ density_kg_m3 = 1590.0
 layup = "[(0/90)_8]_s"
 sequence_layup = "[(?/?/?/?)_4]_s"
 edges = "CFSF"
-
 [plate.sd]
 thickness_mm = 0.02
 density_kg_m3 = 15
-
 [material]
 name = "carbon"
 isotropic = false
@@ -36,31 +33,25 @@ E2_GPa = 9.34
 nu12 = 0.23
 G12_GPa = 6.25
 G23_GPa = 3.0
-
 [material.sd]
 E1_GPa = 12.0
 nu12 = 0.02
-
 [unknowns]
 E1_GPa = [10.0, 200.0]
 E2_GPa = [5, 40]
 nu12 = { mean = 0.28, sd = 0.03, bounds = [0.15, 0.4] }
 G12_GPa = [5.0, 30.0]
 angle_grid_deg = 15.0
-
 [environment]
 air_density_kg_m3 = 1.2
-
 [[sensor]]
 mass_g = 1.2
 x_mm = 250.0
 y_mm = 240.0
-
 [[sensor]]
 mass_g = 0.5
 x_mm = 0.0
 y_mm = 0.0
-
 [measurement]
 frequencies_hz = [102, 311, 342, 342, 390, 612.5]
 resolution_hz = 0.5

@@ -17,6 +17,7 @@ from scipy.io import wavfile
 import cpam_bayes as cb
 from cpam_bayes.plate.schema import PlateFile
 from tests.hybrids import HYBRID
+from tests.plate_file import described
 from tests.posteriors import write_posterior
 from tests.universal import grid, mode_55, nodes_15
 from validation.recorded_hits import RATE, Faults, recorded_hits
@@ -93,29 +94,15 @@ def test_a_row_says_unit_and_default(heading: str, key: str) -> None:
 
 
 # All values that a standard deviation may belong to.
-FILE: dict[str, Any] = {
-    "name": "panel",
-    "plate": {
-        "length_mm": 310.0,
-        "width_mm": 228.0,
-        "thickness_mm": 3.1,
-        "density_kg_m3": 1555.0,
-        "layup": "[(0/90)_8]_s",
-        "edges": "FFFF",
-    },
-    "material": {
-        "isotropic": False,
-        "E1_GPa": 132.0,
-        "E2_GPa": 9.1,
-        "nu12": 0.31,
-        "G12_GPa": 4.8,
-        "G13_GPa": 4.8,
-        "G23_GPa": 3.2,
-    },
-    "unknowns": {"nu12": {"mean": 0.31, "sd": 0.03, "bounds": [0.15, 0.45]}},
-    "sensor": [{"mass_g": 1.0, "x_mm": 10.0, "y_mm": 10.0}],
-    "measurement": {"frequencies_hz": [80.2, 146.3, 218.6]},
-}
+FILE = described(
+    (310.0, 228.0, 3.1),
+    1555.0,
+    {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8, "G13_GPa": 4.8, "G23_GPa": 3.2},
+    layup="[(0/90)_8]_s",
+    unknowns={"nu12": {"mean": 0.31, "sd": 0.03, "bounds": [0.15, 0.45]}},
+    sensor=[{"mass_g": 1.0, "x_mm": 10.0, "y_mm": 10.0}],
+    measurement={"frequencies_hz": [80.2, 146.3, 218.6]},
+)
 
 
 def _hybrid_with(heading: str, key: str, value: Any) -> dict[str, Any]:

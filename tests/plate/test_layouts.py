@@ -39,20 +39,34 @@ def test_a_table_says_the_same_however_it_is_written(measured, content: str | by
     assert found.labels == ("", "", "")
 
 
+LISTED = "1;101,5\n2;305,25\n3;333\n"
+# hits below each other, and beside each other
+HITS = "1;101,4;305,2;333,1\n2;101,6;305,3;332,9\n"
+BESIDE = "1;101,4;101,6\n2;305,2;305,3\n3;333,1;332,9\n"
+HEADS = [
+    "Modennummer;Eigenfrequenz in Hz",
+    "Ordre;Fr\u00e9quence\u00a0propre\u00a0(Hz)",
+    "N\u00famero de modo;Frecuencia natural (Hz)",
+    "Modo;Frequenza naturale [Hz]",
+    "Mod;Cz\u0119stotliwo\u015b\u0107 [Hz]",
+    "Nr;\u0447\u0430\u0441\u0442\u043e\u0442\u0430",
+    "no;\u9891\u7387",
+    "Mode;Messwert [Hz]",
+    "Mode;Frequenz/Hz",
+]
 WRITTEN_IN_LABORATORIES: dict[str, str | bytes] = {
-    "no heads": "1;101,5\n2;305,25\n3;333\n",
+    "no heads": LISTED,
+    **{heads: f"{heads}\n{LISTED}" for heads in HEADS},
+    "damping in Spanish": "f;Amortiguamiento (%)\n101,5;0,4\n305,25;0,3\n333;0,2\n",
+    "damping in Italian": "f\tSmorzamento [%]\n101,5\t0,4\n305,25\t0,3\n333\t0,2\n",
+    "cp1250": f"Mod;Cz\u0119stotliwo\u015b\u0107 [Hz]\n{LISTED}".encode("cp1250"),
     "a column of numbers": "# tap test\n101,5\n305,25\n333\n",
     "a line of other units": "Frequenz;Amplitude;Q\nHz;m/s\u00b2;-\n101,5;2;9\n305,25;2;\n333;3;\n",
     "wide, frequency of mode 1": wide(",", [f"Frequency of mode {i}" for i in (1, 2, 3)], first="Run"),
     "wide, Mode 1 frequency [Hz]": wide(",", [f"Mode {i} frequency [Hz]" for i in (1, 2, 3)]),
-    "long, Russian": "\u0447\u0430\u0441\u0442\u043e\u0442\u0430\n101,5\n305,25\n333\n",
-    "long, Chinese": "\u9891\u7387\n101.5\n305.25\n333\n".encode("utf-16"),
-    "a head that is not known, in Hz": "Mode;Messwert [Hz]\n1;101,5\n2;305,25\n3;333\n",
-    "units after a slash": "Mode;Frequenz/Hz\n1;101,5\n2;305,25\n3;333\n",
     "a line of units in brackets": "Mode;f\n[-];[kHz]\n1;0,1015\n2;0,30525\n3;0,333\n",
-    "long, hits in any language": "Schlag;Mode;Frequenz\n" + "".join(
-        f"{i};{m};{f}\n" for i, hit in enumerate(TAPPED, 1) for m, f in enumerate(hit, 1)
-    ),
+    "long, hits in any language": "Schlag;Mode;Frequenz\n"
+    + "".join(f"{i};{m};{f}\n" for i, hit in enumerate(TAPPED, 1) for m, f in enumerate(hit, 1)),
     "wide, no column of hits": wide(",", THREE),
     "wide, Mode_1 [Hz]": wide("\t", ["Mode_1 [Hz]", "Mode_2 [Hz]", "Mode_3 [Hz]"], first="Messung"),
     "wide, f_1": wide(",", ["f_1", "f_2", "f_3"], first=""),
@@ -63,7 +77,7 @@ WRITTEN_IN_LABORATORIES: dict[str, str | bytes] = {
     "wide, mean and sd below": wide(
         ";", THREE, first="hit", mark=",", more="Mittelwert;101,5;305,2;333\nStabw;0,1;0,1;0\n"
     ),
-    "long, rates above": "Samples 2000 Hz\nMode;Messwert [Hz]\n1;101,5\n2;305,25\n3;333\n",
+    "long, rates above": f"Samples 2000 Hz\nMode;Messwert [Hz]\n{LISTED}",
     "wide, lines above": "Projekt;Platte 7\nDatum;3.4.\n\n" + wide(";", THREE, first="Schlag", mark=","),
     "wide, a hit that shows no mode": wide(";", THREE, first="hit", more="3;-;305,25;n/a\n", mark=","),
     "wide, quoted": wide(",", ['"1"', '"2"', '"3"'], first='"hit"'),
@@ -72,54 +86,32 @@ WRITTEN_IN_LABORATORIES: dict[str, str | bytes] = {
     "xlsx, long": sheet(LONG),
     "xlsx, lines above": sheet([["Platte 7"], [], *WIDE]),
     "xlsx, the second sheet": sheet(LONG, before=[["notes"], ["tapped on foam"]]),
-    # further from how the documentation has them
-    "German, spelt out":
-        "Modennummer;Eigenfrequenz in Hz;D\u00e4mpfung\n1;101,5;0,01\n2;305,25;\n3;333;\n".encode("cp1252"),
-    "French, spaces that do not break":
-        "Ordre;Fr\u00e9quence\u00a0propre\u00a0(Hz)\n1;101,5\n2;305,25\n3;333\n",
-    "Spanish":
-        "N\u00famero de modo;Frecuencia natural (Hz);Amortiguamiento (%)\n1;101,5;0,4\n2;305,25;0,3\n"
-        "3;333;0,2\n",
-    "Italian": "Modo\tFrequenza naturale [Hz]\tSmorzamento [%]\n1\t101,5\t0,4\n2\t305,25\t0,3\n3\t333\t0,2\n",
-    "Polish, cp1250": "Mod;Cz\u0119stotliwo\u015b\u0107 [Hz]\n1;101,5\n2;305,25\n3;333\n".encode("cp1250"),
     "UTF-16 without a mark": "Modus;Frequenz [Hz]\n1;101,5\n2;305,25\n3;333\n".encode("utf-16-le"),
-    "frequencies first, each head with a unit, commas":
-        "Frequency (Hz),Damping (%)\n101.5,0.4\n305.25,0.3\n333,0.2\n",
+    "frequencies first, commas": "Frequency (Hz),Damping (%)\n101.5,0.4\n305.25,0.3\n333,0.2\n",
     "frequencies first, square brackets": "f [Hz],zeta [-]\n101.5,0.004\n305.25,0.003\n333,0.002\n",
     "frequencies and heights of peaks": "Frequenz (Hz);Pegel (dB)\n101,5;-12\n305,25;-20\n333;-31\n",
     "columns apart by spaces, heads of several words": "Mode  Damping (%)  Natural frequency (Hz)\n"
     "1     0.4          101.5\n2     0.3          305.25\n3     0.2          333\n",
-    "rates above":
-        "Sampling frequency\t25600\nResolution\t0.5 Hz\nMode\tFrequency [Hz]\n1\t101.5\n2\t305.25\n3\t333\n",
-    "a title with words of heads": "Natural frequencies in Hz\n\nMode;Frequenz\n1;101,5\n2;305,25\n3;333\n",
-    "units in the cells":
-        "Mode;Frequenz;D\u00e4mpfung\n1;101,5 Hz;0,4 %\n2;0,30525 kHz;0,3 %\n3;333 Hz;0,2 %\n",
-    "Markdown":
-        "| Mode | Frequency [Hz] |\n|------|----------------|\n| 1 | 101.5 |\n| 2 | 305.25 |\n| 3 | 333 |\n",
+    "rates above": f"Sampling frequency;25600\nResolution;0,5 Hz\nMode;Frequency [Hz]\n{LISTED}",
+    "a title with words of heads": f"Natural frequencies in Hz\n\nMode;Frequenz\n{LISTED}",
+    "units in cells": "Mode;Frequenz;D\u00e4mpfung\n1;101,5 Hz;0,4 %\n2;0,30525 kHz;0,3 %\n3;333 Hz;0,2 %\n",
+    "Markdown": "| Mode | f [Hz] |\n|------|--------|\n| 1 | 101.5 |\n| 2 | 305.25 |\n| 3 | 333 |\n",
     "dates, an index and blank columns": ";;Datum;Mode;Frequenz [Hz];;\n0;;03.04.2024;1;101,5;;\n;;;;;;\n"
     "1;;03.04.2024;2;305,25;;\n2;;03.04.2024;3;333;;\n",
-    "a mean and a name below":
-        "Mode;Frequenz [Hz]\n1;101,5\n2;305,25\n3;333\nMittelwert;246,6\n\nGepr\u00fcft: A. Weber\n",
-    "means among hits":
-        "hit;mode;hz\n1;1;101,4\n2;1;101,6\nMean;1;101,5\n1;2;305,2\n2;2;305,3\nMean;2;305,3\n"
+    "a mean and a name below": f"Mode;Frequenz [Hz]\n{LISTED}Mittelwert;246,6\n\nGepr\u00fcft: A. Weber\n",
+    "means of hits": "hit;mode;hz\n1;1;101,4\n2;1;101,6\nMean;1;101,5\n1;2;305,2\n2;2;305,3\nMean;2;305,3\n"
     "1;3;333,1\n2;3;332,9\n",
-    "hits below merged cells":
-        "Mode;Hit;Frequenz\n1;1;101,4\n;2;101,6\n2;1;305,2\n;2;305,3\n3;1;333,1\n;2;332,9\n",
-    "a mode that is not seen, the last": "Mode;Frequenz [Hz]\n1;101,5\n2;305,25\n3;333\n4;n/a\n",
+    "merged cells": "Mode;Hit;Frequenz\n1;1;101,4\n;2;101,6\n2;1;305,2\n;2;305,3\n3;1;333,1\n;2;332,9\n",
+    "a mode that is not seen, the last": f"Mode;Frequenz [Hz]\n{LISTED}4;n/a\n",
     "a row a quantity": "Mode;1;2;3\nFrequenz [Hz];101,5;305,25;333\nD\u00e4mpfung [%];0,4;0,3;0,2\n",
-    "a row a quantity, units beside":
-        "Mode;Einheit;1;2;3\nFrequenz;kHz;0,1015;0,30525;0,333\nAmplitude;g;105;301;330\n",
-    "hits in kHz by their rows":
-        "Mode;1;2;3\nHit 1 [kHz];0,1014;0,3052;0,3331\nHit 2 [kHz];0,1016;0,3053;0,3329\n",
-    "columns of hits headed f1": "Nr;f1;f2\n1;101,4;101,6\n2;305,2;305,3\n3;333,1;332,9\n",
-    "two lines of heads": "Mode;Frequency [Hz];\n;hit 1;hit 2\n1;101,4;101,6\n2;305,2;305,3\n3;333,1;332,9\n",
-    "a line of units with its name":
-        "hit;1;2;3\nEinheit;kHz;kHz;kHz\n1;0,1014;0,3052;0,3331\n2;0,1016;0,3053;0,3329\n",
-    "modes from 7 on": "hit;Mode 7;Mode 8;Mode 9\n1;101,4;305,2;333,1\n2;101,6;305,3;332,9\n",
-    "1. Mode": "Schlag;1. Mode;2. Mode;3. Mode\n1;101,4;305,2;333,1\n2;101,6;305,3;332,9\n",
-    "MW, CV and \u00d8 below":
-        "hit;1;2;3\n1;101,4;305,2;333,1\n2;101,6;305,3;332,9\nMW;101,5;305,3;333\nCV %;0,1;0,1;0,1\n"
-    "\u00d8;101,5;305,3;333\n",
+    "units beside a row": "Mode;Einheit;1;2;3\nFrequenz;kHz;0,1015;0,30525;0,333\nAmplitude;g;105;301;330\n",
+    "hits in kHz": "Mode;1;2;3\nHit 1 [kHz];0,1014;0,3052;0,3331\nHit 2 [kHz];0,1016;0,3053;0,3329\n",
+    "columns of hits headed f1": f"Nr;f1;f2\n{BESIDE}",
+    "two lines of heads": f"Mode;Frequency [Hz];\n;hit 1;hit 2\n{BESIDE}",
+    "units with a name": "hit;1;2;3\nEinheit;kHz;kHz;kHz\n1;0,1014;0,3052;0,3331\n2;0,1016;0,3053;0,3329\n",
+    "modes from 7 on": f"hit;Mode 7;Mode 8;Mode 9\n{HITS}",
+    "1. Mode": f"Schlag;1. Mode;2. Mode;3. Mode\n{HITS}",
+    "MW, CV below": f"hit;1;2;3\n{HITS}MW;101,5;305,3;333\nCV %;0,1;0,1;0,1\n\u00d8;101,5;305,3;333\n",
     "xlsx, numbers as texts below a merged title": sheet(
         [["Platte 7", None], ["Mode", "Frequenz [Hz]"], ["1", "101,5"], ["2", "305,25"], ["3", "333"]]
     ),
@@ -127,7 +119,7 @@ WRITTEN_IN_LABORATORIES: dict[str, str | bytes] = {
         [[], [None, None, "Date", "Mode", "f\n[Hz]"]]
         + [[None, None, datetime.date(2024, 4, 3), i, f] for i, f in enumerate(MODES, 1)]
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("content", WRITTEN_IN_LABORATORIES.values(), ids=WRITTEN_IN_LABORATORIES)
