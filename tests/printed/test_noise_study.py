@@ -181,8 +181,6 @@ def test_inversions_scatter_as_wide_as_first_order_says(shared: Shared) -> None:
 
 
 # The whole study, short of convergence
-
-
 SHORT = {
     "groups": 3,
     "swarm_settings": SwarmSettings(particles=12, iterations=40),
@@ -205,17 +203,6 @@ def told() -> list[tuple[int, int]]:
 def study(plate: Specimen, told: list[tuple[int, int]]) -> Sensitivity:
     levels, progress = (0.01, 0.05), lambda *done: told.append(done)
     return noise_study(plate, 7, source="model", levels=levels, progress=progress, **SHORT)  # type: ignore[arg-type]
-
-
-def equal(one: Sensitivity, other: Sensitivity) -> bool:
-    for a, b in zip(one.cells, other.cells, strict=True):
-        same = np.array_equal(a.repetition.constants, b.repetition.constants)
-        same &= np.array_equal(a.repetition.lists, b.repetition.lists)
-        same &= np.array_equal(a.posterior.mean, b.posterior.mean)
-        same &= np.array_equal(a.posterior.sd, b.posterior.sd)
-        if not same or a.comparisons != b.comparisons:
-            return False
-    return True
 
 
 def test_the_model_s_own_list_gives_its_constants_back(plate: Specimen) -> None:
@@ -253,4 +240,9 @@ def test_other_levels_and_more_groups_do_not_change_a_level(plate: Specimen, stu
 def test_workers_do_not_change_a_bit(plate: Specimen, study: Sensitivity) -> None:
     with open_executor("processes", 2) as executor:
         shared_out = noise_study(plate, 7, source="model", levels=(0.01, 0.05), executor=executor, **SHORT)  # type: ignore[arg-type]
-    assert equal(shared_out, study)
+    for one, other in zip(shared_out.cells, study.cells, strict=True):
+        np.testing.assert_array_equal(one.repetition.constants, other.repetition.constants)
+        np.testing.assert_array_equal(one.repetition.lists, other.repetition.lists)
+        np.testing.assert_array_equal(one.posterior.mean, other.posterior.mean)
+        np.testing.assert_array_equal(one.posterior.sd, other.posterior.sd)
+        assert one.comparisons == other.comparisons

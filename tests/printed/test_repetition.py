@@ -41,15 +41,12 @@ def test_noise_has_the_standard_deviation_asked_for(reading: Interpretation) -> 
 
 def test_a_noisy_list_rises_and_says_when_modes_changed_places() -> None:
     rng = np.random.default_rng(1)
-    found = [
-        perturbed_list(FREQUENCIES, perturbation_sd(FREQUENCIES, 0.1, "relative"), rng) for _ in range(200)
-    ]
-    for one in found:
-        assert np.all(np.diff(one.frequencies) >= 0.0)
+    sd = perturbation_sd(FREQUENCIES, 0.1, "relative")
+    found = [perturbed_list(FREQUENCIES, sd, rng) for _ in range(200)]
+    assert all(np.all(np.diff(one.frequencies) >= 0.0) for one in found)
     share = np.mean([one.reordered for one in found])
     assert 0.5 < share < 1.0  # 342, 364 and 390 Hz are half a standard deviation apart
-    quiet = perturbed_list(FREQUENCIES, perturbation_sd(FREQUENCIES, 1e-6, "relative"), rng)
-    assert not quiet.reordered
+    assert not perturbed_list(FREQUENCIES, 1e-5 * sd, rng).reordered
 
 
 def test_frequencies_that_would_not_be_positive_are_drawn_again_and_counted() -> None:
@@ -94,11 +91,6 @@ def test_agreement_within_chance_has_no_cause_whatever_else_is_seen() -> None:
     assert found.sd_ratio == pytest.approx(0.9)
 
 
-@pytest.mark.parametrize("differing", [WIDE, NARROW, SHIFTED])
-def test_a_difference_without_a_sign_is_unexplained(differing: Evidence) -> None:
-    assert compare(differing).causes == ("unexplained",)
-
-
 @pytest.mark.parametrize(
     ("sign", "cause"),
     [
@@ -118,9 +110,8 @@ def test_each_sign_names_its_cause_and_no_other(
     differing: Evidence, sign: dict[str, float], cause: str
 ) -> None:
     assert compare(replace(differing, **sign)).causes == (cause,)
-    (key, value) = next(iter(sign.items()))
-    below = value - 1 if isinstance(value, int) else 0.99 * value
-    assert compare(replace(differing, **{key: below})).causes == ("unexplained",)
+    below = {key: value - 1 if isinstance(value, int) else 0.99 * value for key, value in sign.items()}
+    assert compare(replace(differing, **below)).causes == ("unexplained",)
 
 
 def test_an_inversion_off_the_optimum_of_a_list_that_it_repeats_stopped_early() -> None:
