@@ -153,6 +153,7 @@ UNDERSTOOD = [
     ('edges = "FFFF"', 'edges = "F-F-F-F"'),
     ('edges = "FFFF"', 'edges = ["free", "free", "free", "free"]'),
     ("length_mm = 310.0", 'length_mm = "310"'),
+    ("length_mm = 310.0", 'length_mm = "310 mm"'),
     ("length_mm = 310.0", 'length_mm = "0,31 m"'),
     ("mass_g = 340.7", 'mass_g = "0,3407 kg"'),
     ("E1_GPa = 132.0", 'E1_GPa = "132000 MPa"'),
