@@ -120,6 +120,9 @@ def test_a_mesh_that_is_no_plate_is_refused_as_is_a_sensor_over_a_hole(run, with
 def test_a_missing_calculix_is_said(run, monkeypatch, tmp_path):
     monkeypatch.setenv(PROGRAM_VARIABLE, str(tmp_path / "none"))
     refused(run("forward", "A1", "--solver", "ccx", "--quiet"), PROGRAM_VARIABLE, "accepted: the path of")
+    monkeypatch.delenv(PROGRAM_VARIABLE)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    refused(run("forward", "A1", "--solver", "ccx", "--quiet"), "not installed", "calculix-ccx")
 
 
 @pytest.mark.needs_ccx
