@@ -44,8 +44,8 @@ def plate(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_recordings_beside_a_plate_file_are_candidates_with_probabilities(
-    plate: Path, monkeypatch: pytest.MonkeyPatch
+def test_recordings_beside_a_plate_file_are_candidates_that_are_read_once(
+    plate: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(plate.parent.parent)
     measurement = cb.read_plate(Path(plate.parent.name) / "plate.toml").measurement
@@ -54,6 +54,12 @@ def test_recordings_beside_a_plate_file_are_candidates_with_probabilities(
     assert np.all((measurement.mode_probability >= 0.02) & (measurement.mode_probability <= 0.98))
     assert np.all(measurement.frequency_sd >= 0.003 * measurement.frequencies)
     assert measurement.damping == pytest.approx(0.006, rel=0.2)
+    # and again when they change
+    copy = shutil.copytree(plate.parent, tmp_path / "copy") / plate.name
+    first, again = (cb.read_plate(copy).measurement.test for _ in range(2))
+    assert again is first
+    (copy.parent / "hits" / "2.wav").unlink()
+    assert len(cb.read_plate(copy).measurement.test.responses.each_hit) == 2
 
 
 def test_a_hit_unlike_the_others_is_a_warning_of_every_answer_about_the_plate(
@@ -66,14 +72,6 @@ def test_a_hit_unlike_the_others_is_a_warning_of_every_answer_about_the_plate(
     warnings = [n for n in cb.forward(folder / "plate.toml").notices if n.code == "unlike_hit"]
     assert [n.facts["hit"] for n in warnings] == [4]
     assert warnings[0].facts["shift"] == pytest.approx(0.01, rel=0.1)
-
-
-def test_recordings_are_read_once_and_again_when_they_change(plate: Path, tmp_path: Path) -> None:
-    copy = shutil.copytree(plate.parent, tmp_path / "copy") / plate.name
-    first, again = (cb.read_plate(copy).measurement.test for _ in range(2))
-    assert again is first
-    (copy.parent / "hits" / "2.wav").unlink()
-    assert len(cb.read_plate(copy).measurement.test.responses.each_hit) == 2
 
 
 def test_the_model_takes_no_peak_for_a_mode_where_it_has_none(plate: Path) -> None:
@@ -103,8 +101,7 @@ def test_the_model_picks_the_modes_among_the_peaks_in_one_command(run, plate: Pa
     assert all(abs(peak["predicted_hz"] / peak["hz"] - 1.0) < 0.01 for peak in paired)
     assert all(peak["probability"] > 0.9 for peak in paired)
     assert len(paired) + len(document["missed_modes"]) == 8
-    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "What each peak was taken for" in page
+    assert "What each peak was taken for" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert (tmp_path / "out" / "figures" / "spectrum.svg").exists()
 
 
@@ -135,6 +132,11 @@ def test_a_table_of_peaks_is_weighed_as_recordings_are(of_peaks) -> None:
     np.testing.assert_allclose(found.mode_probability, [5.0 / 6.0, 0.5, 15.0 / 16.0])
     np.testing.assert_allclose(found.frequency_sd, np.hypot([0.1, 0.2, 0.1], 0.01 * found.frequencies))
     assert not found.complete
+    # heads may be named; numbers with three decimals, not in order
+    named = of_peaks(
+        "f0;h\n115,673;10\n165,530;20\n99,570;20\n", '[measurement.columns]\nhz = "f0"\nheight = "h"\n'
+    )
+    np.testing.assert_allclose(cb.read_plate(named).measurement.frequencies, [99.57, 115.673, 165.53])
 
 
 def test_a_peak_that_stands_out_and_is_taken_for_no_mode_is_named(of_peaks) -> None:
@@ -177,49 +179,47 @@ def test_a_candidate_that_is_left_out_takes_what_belongs_to_it_along(of_peaks) -
     assert cb.posterior(path).pairing.spurious == tuple(left.false_peaks)
 
 
-WRONG_PEAKS = {
-    "twice": "hz,height\n114.7,20\n164.7,9\n114.7,20\n",
-    "nan": "hz,height\nnan,3\n164.7,4\n",
-    "db": "hz,height [dB]\n114.7,26\n164.7,20\n",
-    "low": "hz,height\n114.7,-3\n164.7,-15\n",
-}
+WITHOUT_HEIGHT = "hz,sd\n100,0.1\n"
 
 
 @pytest.mark.parametrize(
-    ("measured", "said"),
+    ("measured", "peaks", "said"),
     [
-        ('recordings = ["none.wav"]', r"measurement\.recordings: .*none\.wav: no such file"),
-        ('recordings = ["noise.wav"]', r"measurement\.recordings: .*noise\.wav: not a \.wav file"),
-        ("recordings = []", "measurement.recordings: wrong length"),
-        ('recordings = ["empty"]', "no recordings in this folder"),
-        ('recordings = ["noise.wav"]\nlabels = [""]', "beside candidate peaks, accepted: no labels"),
-        ('peaks = "peaks.csv"\nrange_hz = [1, 2]', "beside no recordings"),
-        ('peaks = "none.csv"', r"measurement\.peaks: no such file"),
-        ('recordings = ["folder"]', "no such file or folder"),
-        ('peaks = "peaks.csv"', "line 2, column height: no height"),
-        ('peaks = "twice.csv"', r"twice\.csv line 4, column hz: received 114\.7 Hz as in line 2"),
-        ('peaks = "nan.csv"', r"nan\.csv line 2, column hz: no frequency"),
+        ('recordings = ["none.wav"]', None, r"measurement\.recordings: .*none\.wav: no such file or folder"),
+        ('recordings = ["noise.wav"]', None, r"measurement\.recordings: .*noise\.wav: not a \.wav file"),
+        ("recordings = []", None, "measurement.recordings: wrong length"),
+        ('recordings = ["empty"]', None, "no recordings in this folder"),
+        ('recordings = ["noise.wav"]\nlabels = [""]', None, "beside candidate peaks, accepted: no labels"),
+        ('peaks = "peaks.csv"\nrange_hz = [1, 2]', WITHOUT_HEIGHT, "beside no recordings"),
+        ('peaks = "peaks.csv"\nfrequencies_hz = [1]', WITHOUT_HEIGHT, "one of frequencies_hz, table, record"),
+        ('peaks = "peaks.csv"', None, r"measurement\.peaks: no such file"),
+        ('peaks = "peaks.csv"', WITHOUT_HEIGHT, "line 2, column height: no height"),
         (
-            'peaks = "db.csv"',
-            r"db\.csv column height: unknown unit db, accepted: a height above 0, of the peak",
+            'peaks = "peaks.csv"',
+            "hz,height\n114.7,20\n164.7,9\n114.7,20\n",
+            r"peaks\.csv line 4, column hz: received 114\.7 Hz as in line 2",
         ),
-        ('peaks = "low.csv"', r"low\.csv line 2, column height: .*received -3, accepted: a height above 0"),
-        ('peaks = "peaks.csv"\nfrequencies_hz = [100]', "one of frequencies_hz, table, recordings, peaks"),
+        ('peaks = "peaks.csv"', "hz,height\nnan,3\n", r"peaks\.csv line 2, column hz: no frequency"),
+        (
+            'peaks = "peaks.csv"',
+            "hz,height [dB]\n114.7,26\n164.7,20\n",
+            r"peaks\.csv column height: unknown unit db, accepted: a height above 0, of the peak",
+        ),
+        (
+            'peaks = "peaks.csv"',
+            "hz,height\n114.7,-3\n164.7,-15\n",
+            r"peaks\.csv line 2, column height: .*received -3, accepted: a height above 0",
+        ),
     ],
 )
-def test_what_cannot_be_read_is_one_clear_error(tmp_path: Path, measured: str, said: str) -> None:
+def test_what_cannot_be_read_is_one_clear_error(
+    tmp_path: Path, measured: str, peaks: str | None, said: str
+) -> None:
     (tmp_path / "noise.wav").write_bytes(b"no sound")
-    (tmp_path / "peaks.csv").write_text("hz,sd\n100,0.1\n", encoding="utf-8")
     (tmp_path / "empty").mkdir()
-    for name, content in WRONG_PEAKS.items():
-        (tmp_path / f"{name}.csv").write_text(content, encoding="utf-8")
+    if peaks is not None:
+        (tmp_path / "peaks.csv").write_text(peaks, encoding="utf-8")
     path = tmp_path / "plate.toml"
     path.write_text(f"{PLATE}[measurement]\n{measured}\n", encoding="utf-8")
     with pytest.raises(PlateFileError, match=said):
         cb.read_plate(path)
-
-
-def test_heads_of_peaks_may_be_named_and_their_order_is_free(of_peaks) -> None:
-    peaks = "f0;h\n115,673;10\n165,530;20\n99,570;20\n"  # not in order, three decimals
-    path = of_peaks(peaks, '[measurement.columns]\nhz = "f0"\nheight = "h"\n')
-    np.testing.assert_allclose(cb.read_plate(path).measurement.frequencies, [99.57, 115.673, 165.53])
