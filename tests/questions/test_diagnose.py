@@ -29,14 +29,10 @@ from cpam_bayes.questions.diagnose.document import (
 )
 from cpam_bayes.render.report import json_text
 from tests import diagnosed as known
-from tests.diagnosed import DRAWN, MISREAD, aluminium_case, diagnosed, listed
+from tests.diagnosed import CHEAP, DRAWN, MISREAD, aluminium_case, diagnosed, listed
+from tests.plate_file import refused
 
 TITLES = {effect.name: effect.title for effect in CATALOGUE}
-
-
-@pytest.fixture(scope="module")
-def case():
-    return aluminium_case()
 
 
 @pytest.fixture(scope="module")
@@ -50,16 +46,16 @@ def misread():
 
 
 @pytest.fixture(scope="module")
-def false_peak(case):
+def false_peak():
+    case = aluminium_case()
     f = case.models.bare.predict(np.array([[69e9, 0.33]])).frequencies[0]
     with_false = np.concatenate((f[:2], [190.0], f[2:5]))
     return diagnosed([listed(case, with_false / f[:6])], ["mode_identity"], gain=False)
 
 
 @pytest.fixture(scope="module")
-def two_plates(case):
-    twin = aluminium_case("plate 8")
-    cases = [listed(case, MISREAD), listed(twin, np.ones(6), -DRAWN)]
+def two_plates():
+    cases = [listed(aluminium_case(), MISREAD), listed(aluminium_case("plate 8"), np.ones(6), -DRAWN)]
     return diagnosed(cases, ["outlier"], gain=False)
 
 
@@ -101,9 +97,18 @@ def test_the_document_has_the_keys_of_the_contract(misread):
     assert gain["rms_percent_after"] < gain["rms_percent_before"] == found["baseline"]["rms_percent"]
     assert 0.0 <= gain["stable_share"] <= 1.0
     assert gain["held_out_hypotheses"] == misread.gain.n_hypotheses >= 2
+    # residuals have one sign and the kind of their mode
+    rows = found["baseline"]["frequencies"]
+    assert len(rows) == 6
+    for row in rows:
+        assert row["kind"] == "bending"
+        ratio = row["predicted_hz"] / row["measured_hz"]
+        assert row["residual_percent"] == pytest.approx(100 * (ratio - 1), abs=1e-9)
+        sd = np.hypot(row["noise_sd_hz"], row["predicted_sd_hz"])
+        assert row["standardised"] == pytest.approx((row["predicted_hz"] - row["measured_hz"]) / sd)
 
 
-def test_probabilities_of_all_hypotheses_sum_to_one_and_none_and_other_are_among_them(clean, misread):
+def test_every_cause_has_a_probability_and_a_detection_limit(clean, misread):
     for d in (clean, misread):
         found = document(d)
         names = [h["cause"] for h in found["hypotheses"]]
@@ -113,25 +118,39 @@ def test_probabilities_of_all_hypotheses_sum_to_one_and_none_and_other_are_among
         for scales in ("scales_times_3", "scales_divided_by_3"):
             ranges = [h["probability_range"][scales] for h in found["hypotheses"]]
             assert sum(ranges) == pytest.approx(1.0, abs=1e-9)
+        tested = [name for name in names if name not in ("none", "other")]
+        assert [entry["cause"] for entry in found["detectable"]] == tested
+        assert found["tested"] == {"causes": tested, "hypotheses": len(d.weighed.tested)}
+    # the constants imitate a clock that is off
+    (told,) = (entry for entry in document(clean)["detectable"] if entry["cause"] == "frequency_scale")
+    assert (told["smallest"], told["unit"], told["probability_of_claim"]) == (None, "%", 0.0)
 
 
-def test_a_misread_frequency_is_named_with_its_size_in_percent(misread):
+def test_a_misread_frequency_is_named_with_its_size_its_check_and_what_it_depends_on(misread):
     outlier = next(h for h in document(misread)["hypotheses"] if h["cause"] == "outlier")
     assert outlier["variant"] == "frequency 3"
     size = outlier["parameters"]["misreading"]
     assert size["unit"] == "%"
     assert size["mean"] == pytest.approx(5.0, abs=3 * size["sd"])
-    hz = misread.cases[0].measurement.frequencies[2]
-    said = claim_sentence(misread)
-    for part in (
-        f"isread frequency {hz:g} Hz",
-        f"{size['mean']:.2f}",
-        probability_text(misread.claim.probability),
-    ):
-        assert part in said
+    hz, said = misread.cases[0].measurement.frequencies[2], claim_sentence(misread)
+    assert f"isread frequency {hz:g} Hz" in said
+    assert f"{size['mean']:.2f}" in said
+    assert probability_text(misread.claim.probability) in said
+    (effect,) = misread.causes[0].hypothesis.records
+    assert summary(misread).next_step.lower() == effect.check.lower()
+    two = replace(misread, claim=Claim("class", ("outlier", "viscoelastic"), 0.99))
+    assert [row[0] for row in table(two, "Laboratory checks")] == [TITLES["outlier"], TITLES["viscoelastic"]]
+    # a claim that depends on assumed sizes is warned of
+    assert misread.sensitivity.claim_stands
+    assert not summary(misread).warnings
+    claims = (Claim("none", (), 0.6), Claim("class", ("outlier", "warp"), 0.95))
+    other = replace(misread.sensitivity, claim_stands=False, claims=claims)
+    (warning,) = summary(replace(misread, sensitivity=other)).warnings
+    assert TITLES["outlier"] in warning
+    assert TITLES["warp"] in warning
 
 
-def test_the_constants_are_averaged_over_all_hypotheses_and_come_back_to_the_truth(clean, misread):
+def test_constants_are_those_of_all_hypotheses_and_determined_where_noise_explains_the_misfit(clean, misread):
     # 69 GPa made the list; the plain model is pulled off by the misread frequency
     found = document(misread)
     for constants in (found["constants"], found["extended"]["constants"]):
@@ -146,30 +165,22 @@ def test_the_constants_are_averaged_over_all_hypotheses_and_come_back_to_the_tru
             assert (constant.value, constant.sd, *constant.interval) == d.averaged[constant.name]
     frame = diagnosis_result(misread, 3).to_dataframe("constants")
     assert frame["mean"].tolist() == [c["mean"] for c in found["constants"].values()]
-
-
-def test_residuals_have_one_sign_and_the_kind_of_their_mode(misread):
-    rows = document(misread)["baseline"]["frequencies"]
-    assert len(rows) == 6
-    for row in rows:
-        assert row["kind"] == "bending"
-        ratio = row["predicted_hz"] / row["measured_hz"]
-        assert row["residual_percent"] == pytest.approx(100 * (ratio - 1), abs=1e-9)
-        sd = np.hypot(row["noise_sd_hz"], row["predicted_sd_hz"])
-        assert row["standardised"] == pytest.approx((row["predicted_hz"] - row["measured_hz"]) / sd)
-
-
-def test_detection_limits_are_given_for_every_cause(clean, misread):
-    for d in (clean, misread):
-        found = document(d)
-        tested = [h["cause"] for h in found["hypotheses"] if h["cause"] not in ("none", "other")]
-        keys = {"cause", "smallest", "unit", "probability_of_claim"}
-        assert [entry["cause"] for entry in found["detectable"]] == tested
-        assert all(set(entry) == keys for entry in found["detectable"])
-        assert found["tested"] == {"causes": tested, "hypotheses": len(d.weighed.tested)}
-    # the constants imitate a clock that is off
-    (told,) = (entry for entry in document(clean)["detectable"] if entry["cause"] == "frequency_scale")
-    assert (told["smallest"], told["unit"], told["probability_of_claim"]) == (None, "%", 0.0)
+    assert clean.explained
+    assert {c.verdict for c in answer_constants(clean)} == {Verdict.DATA}
+    # the misfit of the plain model alone takes nothing from the answer
+    assert (misread.claim.kind, misread.plain_explained, misread.explained) == ("named", False, True)
+    assert {c.verdict for c in fit_constants(misread, misread.baseline)} == {Verdict.MISFIT}
+    assert {c.verdict for c in answer_constants(misread)} == {Verdict.DATA}
+    bent = np.array([1.03, 0.97, 1.03, 0.97, 1.03, 0.97])
+    wrong = diagnosed([listed(aluminium_case(), bent)], [], gain=False)
+    assert (wrong.claim.kind, wrong.plain_explained, wrong.explained) == ("other", False, False)
+    assert {c.verdict for c in answer_constants(wrong)} == {Verdict.MISFIT}
+    # the prior that an interval depends on is named
+    relied = replace(clean, reliances=(Reliance("E1", "nu12", 0.42), Reliance("nu12", "E1", 0.11)))
+    first, second = answer_constants(relied)
+    assert (first.rests_on, second.rests_on) == (("nu12",), ("E1",))
+    said = [row[0] for row in table(relied, "What the intervals depend on")]
+    assert any("E1" in text and "nu12" in text and "42 %" in text for text in said)
 
 
 def test_a_false_peak_belongs_to_no_mode_and_later_ones_to_the_mode_before(false_peak):
@@ -219,7 +230,7 @@ def test_what_scales_all_frequencies_is_hidden_and_moves_the_stiffness_twice_as_
     assert (title, size) == (TITLES["frequency_scale"], "2 %")
 
 
-def test_priors_of_families_causes_and_sizes_are_told(clean):
+def test_priors_of_families_causes_and_sizes_are_told_and_sets_are_no_family(clean):
     priors = document(clean)["priors"]
     assert (priors["none"], priors["other"]) == (0.5, 0.05)
     assert priors["families"]["size"]["frequency_scale"] > 0
@@ -227,22 +238,11 @@ def test_priors_of_families_causes_and_sizes_are_told(clean):
     assert (size["kind"], size["scale"], size["unit"]) == ("Student-t", 2.0, "%")
     assert size["gross"] is None
     assert priors["sets_tested"] == 0.0
-
-
-def test_sets_that_were_tested_are_no_family_and_gross_sizes_are_told(clean):
     tested = clean.weighed.tested
-    frequency_scale = next(t for t in tested if t.hypothesis.cause == "frequency_scale")
+    scale = next(t for t in tested if t.hypothesis.cause == "frequency_scale")
     taper = next(effect for effect in CATALOGUE if effect.name == "taper_x")
-    gross = replace(
-        frequency_scale,
-        hypothesis=replace(
-            frequency_scale.hypothesis,
-            cause="taper_x",
-            family="shape",
-            parameters=taper.parameters,
-            prior=0.01,
-        ),
-    )
+    of_taper = {"cause": "taper_x", "family": "shape", "parameters": taper.parameters, "prior": 0.01}
+    gross = replace(scale, hypothesis=replace(scale.hypothesis, **of_taper))
     both = replace(gross, hypothesis=replace(gross.hypothesis, cause="a + b", family="set", prior=0.002))
     weighed = replace(clean.weighed, tested=(*tested, gross, both))
     priors = document(replace(clean, weighed=weighed))["priors"]
@@ -254,12 +254,22 @@ def test_sets_that_were_tested_are_no_family_and_gross_sizes_are_told(clean):
 # The first screen
 
 
-def test_no_evidence_is_told_with_the_probability_of_an_error(clean):
-    said = summary(clean).headline
-    found = re.match(r"No evidence of an error \(probability of one ([\d.]+), Bayes factor ([\d.]+)\)", said)
-    assert found is not None
-    assert float(found[1]) == pytest.approx(1.0 - clean.weighed.by_cause()["none"], abs=0.006)
-    assert float(found[2]) == pytest.approx(clean.bayes_factor, rel=0.06)
+def test_of_a_list_with_nothing_wrong_nothing_is_extended_and_the_intervals_are_explained(clean):
+    found, said = document(clean), summary(clean)
+    told = re.match(
+        r"No evidence of an error \(probability of one ([\d.]+), Bayes factor ([\d.]+)\)", said.headline
+    )
+    assert told is not None
+    assert float(told[1]) == pytest.approx(1.0 - clean.weighed.by_cause()["none"], abs=0.006)
+    assert float(told[2]) == pytest.approx(clean.bayes_factor, rel=0.06)
+    assert (found["claim"], found["causes"]) == ("none", [])
+    assert found["extended"] is found["gain"] is None
+    sections = {s.title for s in diagnosis_result(clean, 3).report().sections}
+    assert not sections & {"What was found", "How it was noticed"}
+    (contained,) = (text for text in said.lines if "intervals contain" in text)
+    for number in ("noise", "thickness", "length", "width", "density", "frequency scale"):
+        assert number in contained
+    assert "Not contained" not in contained
 
 
 def with_causes(d, causes, claim):
@@ -273,16 +283,15 @@ def with_causes(d, causes, claim):
 def test_no_first_screen_has_keys_of_causes_whatever_is_claimed(clean, misread, false_peak, two_plates):
     undecided = Claim("undecided", ("viscoelastic",), 0.4)
     of_two = Claim("class", ("viscoelastic", "frequency_scale"), 0.95)
-    others = (undecided, of_two, Claim("other", (), 0.97))
-    answers = (clean, false_peak, two_plates, replace(clean, claim=undecided))
-    for d in (*answers, *(replace(misread, claim=claim) for claim in others)):
-        lines = diagnosis_result(d, 3).summary().splitlines()
-        assert len([line for line in lines if line.strip()]) <= 15, "with title and table"
+    claimed = [replace(misread, claim=claim) for claim in (undecided, of_two, Claim("other", (), 0.97))]
+    for d in (clean, false_peak, two_plates, replace(clean, claim=undecided), *claimed):
+        lines = [line for line in diagnosis_result(d, 3).summary().splitlines() if line.strip()]
+        assert len(lines) <= 15, "with title and table"
         assert len(" ".join(lines).split()) <= 140, "with the words of title and table"
         assert not [e.name for e in CATALOGUE if "_" in e.name and e.name in " ".join(lines)]
 
 
-def test_every_claim_has_its_own_sentence(clean, misread):
+def test_every_claim_has_its_own_sentence_with_sizes_and_what_acts_beside_it(clean, misread):
     def said(d, kind, causes, p):
         return claim_sentence(replace(d, claim=Claim(kind, causes, p)))
 
@@ -295,52 +304,16 @@ def test_every_claim_has_its_own_sentence(clean, misread):
     assert what.startswith(f"Something is wrong ({probability_text(misread.something_wrong)})")
     assert TITLES["outlier"] in what
     assert "too weak to exclude" in said(clean, "undecided", ("viscoelastic",), 0.4)
-
-
-@pytest.mark.parametrize(("factor", "begun"), [(2.9, "No evidence of an error"), (3.1, "Perhaps something")])
-def test_evidence_of_an_error_begins_with_a_bayes_factor_of_three(clean, factor, begun):
-    # nothing wrong has a prior of one half
-    none = next(c for c in clean.causes if c.name == "none")
-    open_ = Claim("undecided", ("viscoelastic",), 0.4)
-    found = with_causes(clean, (replace(none, probability=1.0 / (1.0 + factor)),), open_)
-    assert claim_sentence(found).startswith(begun)
-
-
-@pytest.mark.parametrize(("visible", "count"), [(0.29, 1), (0.31, 0)])
-def test_a_cause_of_which_less_than_three_tenths_show_is_hidden(clean, visible, count):
-    cause = next(c for c in clean.causes if c.name == "viscoelastic")
-    assert len(replace(clean, causes=(replace(cause, visible=visible),)).hidden_causes) == count
-
-
-@pytest.mark.parametrize(("p", "count"), [(0.09, 0), (0.11, 1)])
-def test_a_cause_is_checked_from_one_in_ten_where_nothing_is_claimed(clean, p, count):
-    cause = next(c for c in clean.causes if c.name == "viscoelastic")
-    found = with_causes(clean, (replace(cause, probability=p),), Claim("undecided", (), p))
-    assert len(checked_effects(found)) == count
-
-
-@pytest.mark.parametrize(("stable", "count"), [(0.79, 1), (0.81, 0)])
-def test_a_claim_that_one_frequency_in_five_overturns_is_warned_of(misread, stable, count):
-    found = replace(misread, gain=replace(misread.gain, stable=stable))
-    assert sum(n.code == "single_frequencies" for n in diagnosis_notices(found)) == count
-
-
-def test_two_errors_at_once_are_told_with_their_sizes(clean):
+    # two errors at once, with their sizes
     alone = next(c for c in clean.causes if c.name == "viscoelastic")
-    both = replace(
-        alone,
-        name="skew + viscoelastic",
-        variant="frequency 5",
-        hypothesis=replace(alone.hypothesis, cause="skew + viscoelastic"),
-    )
+    name = "skew + viscoelastic"
+    both = replace(alone, name=name, hypothesis=replace(alone.hypothesis, cause=name))
     claim = Claim("pair", ("skew", "viscoelastic"), 0.93)
     said = claim_sentence(with_causes(clean, (*clean.causes, both), claim))
     assert said.startswith("Two errors at once")
     assert size_text(alone) in said
     assert "0.930" in said
-
-
-def test_what_acts_beside_the_claim_is_told(clean):
+    # what acts beside the claim
     alone = next(c for c in clean.causes if c.name == "viscoelastic")
     two = tuple(
         replace(alone, name=f"warp + {name}", probability=p) for name, p in (("skew", 0.5), ("damage", 0.4))
@@ -353,16 +326,45 @@ def test_what_acts_beside_the_claim_is_told(clean):
     assert next(iter(found.inclusion.items())) == ("warp", pytest.approx(0.95))
     (line,) = (text for text in summary(found).lines if "Perhaps also" in text)
     assert TITLES["skew"] in line
-    mostly = replace(
-        found, causes=tuple(replace(c, probability=0.6) if c.name == "warp" else c for c in found.causes)
-    )
+    likely = tuple(replace(c, probability=0.6) if c.name == "warp" else c for c in found.causes)
+    mostly = replace(found, causes=likely)
     assert f": {size_text(alone)} if alone." in claim_sentence(mostly)
     faint = replace(found, causes=(*causes, replace(two[0], probability=0.01)))
     assert not any("Perhaps also" in text for text in summary(faint).lines)
     assert replace(found, claim=Claim("class", ("warp", "skew"), 0.95)).beside == {"damage": 0.4}
 
 
-def test_a_forgotten_mass_that_would_have_been_seen_is_told(clean):
+def test_what_is_said_turns_at_stated_limits(clean, misread):
+    none, cause = (next(c for c in clean.causes if c.name == name) for name in ("none", "viscoelastic"))
+    # a Bayes factor of three for an error; nothing wrong has a prior of one half
+    open_ = Claim("undecided", ("viscoelastic",), 0.4)
+    for factor, begun in ((2.9, "No evidence of an error"), (3.1, "Perhaps something")):
+        found = with_causes(clean, (replace(none, probability=1.0 / (1.0 + factor)),), open_)
+        assert claim_sentence(found).startswith(begun)
+    # a cause is hidden where less than three tenths of it show
+    for visible, count in ((0.29, 1), (0.31, 0)):
+        assert len(replace(clean, causes=(replace(cause, visible=visible),)).hidden_causes) == count
+    # and is checked from one in ten where nothing is claimed
+    for p, count in ((0.09, 0), (0.11, 1)):
+        found = with_causes(clean, (replace(cause, probability=p),), Claim("undecided", (), p))
+        assert len(checked_effects(found)) == count
+    # a claim that one frequency in five overturns is warned of
+    for stable, count in ((0.79, 1), (0.81, 0)):
+        found = replace(misread, gain=replace(misread.gain, stable=stable))
+        assert sum(n.code == "single_frequencies" for n in diagnosis_notices(found)) == count
+
+
+def test_detection_limits_are_told_and_so_is_what_cannot_be_seen(clean, misread):
+    parameter = misread.causes[0].hypothesis.parameters[0]
+    entries = (
+        Detectable("outlier", parameter, 0.0123, 0.96),
+        Detectable("air", parameter, None, 0.3),
+        Detectable("mode_identity", None, None, None),
+    )
+    d = replace(clean, detectable=entries)
+    ((title, size, *_),) = table(d, "Detection limits")
+    assert (title, size) == (TITLES["outlier"], "1.2 %")
+    assert [row[0] for row in table(d, "Cannot be seen")] == [TITLES["air"], TITLES["mode_identity"]]
     mass = next(e for e in CATALOGUE if e.local == "point")
     hypothesis = replace(
         clean.causes[0].hypothesis, cause=mass.name, effects=(mass,), parameters=mass.parameters
@@ -376,45 +378,12 @@ def test_a_forgotten_mass_that_would_have_been_seen_is_told(clean):
     assert "A forgotten mass would not have been seen." in unseen
 
 
-def test_detection_limits_and_what_cannot_be_seen_are_two_tables(clean, misread):
-    parameter = misread.causes[0].hypothesis.parameters[0]
-    entries = (
-        Detectable("outlier", parameter, 0.0123, 0.96),
-        Detectable("air", parameter, None, 0.3),
-        Detectable("mode_identity", None, None, None),
-    )
-    d = replace(clean, detectable=entries)
-    ((title, size, *_),) = table(d, "Detection limits")
-    assert (title, size) == (TITLES["outlier"], "1.2 %")
-    assert [row[0] for row in table(d, "Cannot be seen")] == [TITLES["air"], TITLES["mode_identity"]]
-
-
-def test_a_claim_that_depends_on_assumed_sizes_is_warned_of(misread):
-    assert misread.sensitivity.claim_stands
-    assert not summary(misread).warnings
-    other = replace(
-        misread.sensitivity,
-        claim_stands=False,
-        claims=(Claim("none", (), 0.6), Claim("class", ("outlier", "warp"), 0.95)),
-    )
-    (warning,) = summary(replace(misread, sensitivity=other)).warnings
-    assert TITLES["outlier"] in warning
-    assert TITLES["warp"] in warning
-
-
-def test_the_next_step_is_the_check_of_what_is_claimed(misread):
-    (effect,) = misread.causes[0].hypothesis.records
-    assert summary(misread).next_step.lower() == effect.check.lower()
-    two = replace(misread, claim=Claim("class", ("outlier", "viscoelastic"), 0.99))
-    assert [row[0] for row in table(two, "Laboratory checks")] == [TITLES["outlier"], TITLES["viscoelastic"]]
-
-
 @pytest.mark.parametrize(
     ("chances", "best"), [((0.2, 0.31), "load"), ((0.01, 0.29), "load"), ((0.06,), "clamp")]
 )
 def test_the_test_that_decides_is_the_next_step_and_another_one_the_last(clean, chances, best):
     tests = tuple(
-        Candidate(name, name, 1.0 - i, 2.0, chance)
+        Candidate(name, f"{name} it", 1.42 - i, 2.1, chance)
         for i, (name, chance) in enumerate(zip(("clamp", "load"), chances, strict=False))
     )
     undecided = replace(clean, claim=Claim("undecided", ("viscoelastic",), 0.4))
@@ -422,68 +391,21 @@ def test_the_test_that_decides_is_the_next_step_and_another_one_the_last(clean, 
     assert (best in first) == (max(chances) > 0.3)
     if max(chances) < 0.3:
         assert best in table(undecided, "Further steps", candidates=tests)[-1][0]
-
-
-def test_what_to_measure_next_is_shown_with_its_information(clean):
-    tests = (Candidate("weigh", "weigh the plate to 0.1 g", 0.42, 1.1, 0.25),)
-    (told,) = document(clean, candidates=tests)["next_measurement"]
-    assert (told["name"], told["information_nats"], told["possible_nats"]) == ("weigh", 0.42, 1.1)
+    # each is shown with its information
+    told = document(clean, candidates=tests)["next_measurement"][0]
+    assert (told["name"], told["information_nats"], told["possible_nats"]) == ("clamp", 1.42, 2.1)
     rows = table(clean, "Further tests", candidates=tests)
-    assert rows == (("weigh the plate to 0.1 g", "0.42", "1.10", "25 %"),)
+    assert ("clamp it", "1.42", "2.10", f"{100 * chances[0]:.0f} %") in rows
 
 
-def test_nothing_is_extended_where_nothing_is_claimed(clean):
-    found = document(clean)
-    assert (found["claim"], found["causes"]) == ("none", [])
-    assert found["extended"] is None
-    assert found["gain"] is None
-    sections = {s.title for s in diagnosis_result(clean, 3).report().sections}
-    assert not sections & {"What was found", "How it was noticed"}
-
-
-def test_no_constant_is_determined_where_noise_as_stated_does_not_explain_the_misfit(case, clean, misread):
-    assert clean.explained
-    assert {c.verdict for c in answer_constants(clean)} == {Verdict.DATA}
-    # the misfit of the plain model alone takes nothing from the answer
-    assert (misread.claim.kind, misread.plain_explained, misread.explained) == ("named", False, True)
-    assert {c.verdict for c in fit_constants(misread, misread.baseline)} == {Verdict.MISFIT}
-    assert {c.verdict for c in answer_constants(misread)} == {Verdict.DATA}
-    bent = np.array([1.03, 0.97, 1.03, 0.97, 1.03, 0.97])
-    wrong = diagnosed([listed(case, bent)], [], gain=False)
-    assert wrong.claim.kind == "other"
-    assert not wrong.explained
-    assert not wrong.plain_explained
-    assert {c.verdict for c in answer_constants(wrong)} == {Verdict.MISFIT}
-
-
-def test_an_answer_says_what_its_intervals_contain(clean):
-    (said,) = (text for text in summary(clean).lines if "intervals contain" in text)
-    for number in ("noise", "thickness", "length", "width", "density", "frequency scale"):
-        assert number in said
-    assert "Not contained" not in said
-
-
-def test_the_prior_that_an_interval_depends_on_is_named(clean):
-    relied = replace(clean, reliances=(Reliance("E1", "nu12", 0.42), Reliance("nu12", "E1", 0.11)))
-    first, second = answer_constants(relied)
-    assert (first.rests_on, second.rests_on) == (("nu12",), ("E1",))
-    said = [row[0] for row in table(relied, "What the intervals depend on")]
-    assert any("E1" in text and "nu12" in text and "42 %" in text for text in said)
-
-
-def test_sizes_are_shown_in_the_units_of_a_workshop():
+def test_sizes_are_shown_in_the_units_of_a_workshop_and_probabilities_that_round_to_0_or_1_as_bounds():
     shown = {"sag": ("mm", 1e3), "skin_thickness": ("um", 1e6), "sensor_mass": ("g", 1e3)}
     shown |= {"residual_stress": ("MPa", 1e-6), "thickness_deviation": ("%", 100.0)}
     shown |= {"loss_tangent": ("", 1.0), "skew_deg": ("deg", 1.0)}
     display = {p.name: p.display for effect in CATALOGUE for p in effect.parameters}
     assert {name: display[name] for name in shown} == shown
-
-
-@pytest.mark.parametrize(
-    ("p", "text"), [(1e-9, "< 0.001"), (1 - 1e-9, "> 0.999"), (0.5, "0.50"), (0.962, "0.962")]
-)
-def test_probabilities_that_round_to_nought_or_one_are_told_as_bounds(p, text):
-    assert probability_text(p) == text
+    texts = {1e-9: "< 0.001", 1 - 1e-9: "> 0.999", 0.5: "0.50", 0.962: "0.962"}
+    assert {p: probability_text(p) for p in texts} == texts
 
 
 # The drawings
@@ -494,7 +416,7 @@ def figures(misread):
     return diagnosis_result(misread, 0).figures()
 
 
-def found_mass(d, edges="FFFF"):
+def found_mass(d):
     """A diagnosis that claims a mass on its plate, at (0.8, 0.6) or one of its images."""
     mass = next(e for e in CATALOGUE if e.local == "point")
     where = [replace(p, prior=replace(p.prior, lower=0.5)) for p in mass.parameters[1:3]]
@@ -504,24 +426,18 @@ def found_mass(d, edges="FFFF"):
 
 def found(d, effect, values):
     """A diagnosis that claims an effect with these values of its parameters, each to 2 %."""
+    own = {"cause": effect.name, "effects": (effect,), "parameters": effect.parameters}
     cause = replace(
         d.causes[0],
         name=effect.name,
         variant=effect.variant,
         parameters={p.name: (v, 0.02 * v, "") for p, v in zip(effect.parameters, values, strict=True)},
-        hypothesis=replace(
-            d.causes[0].hypothesis,
-            cause=effect.name,
-            effects=(effect,),
-            unmodelled=(),
-            listed=ListChange(),
-            parameters=effect.parameters,
-        ),
+        hypothesis=replace(d.causes[0].hypothesis, unmodelled=(), listed=ListChange(), **own),
     )
     return with_causes(d, (cause, *d.causes[1:]), Claim("named", (effect.name,), 0.996))
 
 
-def test_a_mass_is_told_and_drawn_where_it_was(misread):
+def test_what_was_found_is_told_and_drawn_where_it_was_with_its_images(misread):
     d = found_mass(misread)
     plate = d.cases[0].models.specimen.plate
     x, y = 800 * plate.length, 600 * plate.width
@@ -534,9 +450,7 @@ def test_a_mass_is_told_and_drawn_where_it_was(misread):
         (round(px), round(py)) for px in (x, 1e3 * plate.length - x) for py in (y, 1e3 * plate.width - y)
     }
     assert {(round(px), round(py)) for px, py in dots} == images
-
-
-def test_a_missing_corner_is_told_and_drawn_with_its_images(misread):
+    # a missing corner
     (outline,) = (e for e in CATALOGUE if e.drawn == "corner")
     d = found(misread, outline, (0.002,))
     assert "Corner missing, 0.2000 +- 0.0040 % of the area (at x = length, y = width" in claim_sentence(d)
@@ -551,7 +465,7 @@ def test_a_missing_corner_is_told_and_drawn_with_its_images(misread):
     assert {(round(x), round(y)) for x, y in found_at} == corners
 
 
-def test_bars_are_the_relative_residuals_before_and_after_with_their_noise(misread, figures):
+def test_residuals_and_constants_are_drawn_before_and_after_with_their_noise_and_reference(misread, figures):
     axes = figures["residuals"].subfigs[0].axes[0]
     bars = [c for c in axes.containers if isinstance(c, BarContainer)]
     for fit, own in zip((misread.baseline, misread.extended), bars, strict=True):
@@ -563,9 +477,16 @@ def test_bars_are_the_relative_residuals_before_and_after_with_their_noise(misre
     two_sd = 200.0 * np.hypot(fit.sigma, fit.predicted_sd) / fit.measured
     assert 0.5 * np.ptp(ends, axis=1) == pytest.approx(two_sd)
     assert len(figures["residuals"].subfigs[0].axes) == 7, "a shape for each of six modes"
+    panels = figures["constants"].axes
+    assert [axes.get_title() for axes in panels] == ["E1, GPa", "nu12"]
+    before, after = (bars.lines[0].get_ydata()[0] for bars in panels[0].containers)
+    assert before == pytest.approx(misread.baseline.constants["E1"][0] / 1e9)
+    assert after == pytest.approx(misread.averaged["E1"][0] / 1e9)
+    (reference,) = [line for line in panels[0].lines if line.get_label() == "reference"]
+    assert list(reference.get_ydata()) == [69.0, 69.0]
 
 
-def test_bars_of_causes_are_their_probabilities_and_their_labels_titles(misread, figures):
+def test_causes_are_drawn_with_probabilities_limits_and_signatures_but_for_hidden_ones(misread, figures):
     axes = figures["causes"].axes[0]
     widths = sorted(bar.get_width() for bar in axes.containers[0])
     assert widths == pytest.approx(sorted(cause.probability for cause in misread.causes))
@@ -575,9 +496,9 @@ def test_bars_of_causes_are_their_probabilities_and_their_labels_titles(misread,
     assert claims.pop("nothing wrong") == 0.5
     assert set(claims.values()) == {0.9}
     assert TITLES["outlier"] in claims
-
-
-def test_bars_of_detection_limits_end_at_them(misread, figures):
+    signatures = {text.get_text() for text in figures["signatures"].axes[0].get_xticklabels()}
+    assert signatures == {TITLES["outlier"], TITLES["viscoelastic"]}
+    # bars of detection limits end at them
     axes = figures["detectable"].axes[0]
     labels = [text.get_text() for text in axes.get_yticklabels()]
     rows = {row.title: row for row in detectable_rows(misread)}
@@ -589,16 +510,54 @@ def test_bars_of_detection_limits_end_at_them(misread, figures):
     assert rows[TITLES["frequency_scale"]].smallest is None, "a clock that is off is not seen"
 
 
-def test_constants_are_drawn_beside_their_reference(misread, figures):
-    panels = figures["constants"].axes
-    assert [axes.get_title() for axes in panels] == ["E1, GPa", "nu12"]
-    before, after = (bars.lines[0].get_ydata()[0] for bars in panels[0].containers)
-    assert before == pytest.approx(misread.baseline.constants["E1"][0] / 1e9)
-    assert after == pytest.approx(misread.averaged["E1"][0] / 1e9)
-    (reference,) = [line for line in panels[0].lines if line.get_label() == "reference"]
-    assert list(reference.get_ydata()) == [69.0, 69.0]
+# The command
 
 
-def test_a_hidden_cause_has_no_place_among_signatures(figures):
-    labels = [text.get_text() for text in figures["signatures"].axes[0].get_xticklabels()]
-    assert set(labels) == {TITLES["outlier"], TITLES["viscoelastic"]}
+@pytest.mark.parametrize(
+    ("plates", "said"),
+    [
+        (("A1", "A1"), "received A1 twice"),
+        (("A1", "C1"), "material carbon/epoxy, while A1 has aluminium"),
+    ],
+)
+def test_plates_that_are_not_several_of_one_material_are_refused(run, plates, said):
+    refused(run("diagnose", *plates), said)
+
+
+@pytest.mark.usefixtures("few_causes")
+def test_json_is_one_document_progress_goes_to_standard_error_and_files_to_the_directory(
+    run, plate_file, tmp_path
+):
+    air = ("[measurement]", "[environment]\nair_density_kg_m3 = 1.2\n\n[measurement]")
+    status, out, err = run("diagnose", plate_file(air), "--json", "--seed", "5", "--out", tmp_path / "out")
+    assert status == 0
+    assert re.search(r"\d of \d+ hypotheses", err)
+    first = json.loads(out)
+    written = {path.name for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    assert {"diagnose.json", "report.html", "residuals.png", "causes.svg"} <= written
+    assert json.loads((tmp_path / "out" / "diagnose.json").read_text("utf-8")) == first
+    assert {h["cause"] for h in first["hypotheses"]} == CHEAP
+    assert {entry["cause"] for entry in first["detectable"]} == CHEAP - {"none", "other"}
+    assert isinstance(first["claim_stands"], bool)
+    # air in the file is part of the model
+    assert first["air_density_kg_m3"] == {"plate 7": 1.2}
+
+
+@pytest.mark.usefixtures("few_causes")
+def test_the_prior_of_none_is_an_option_and_the_others_keep_their_proportions(run, plate_file):
+    path = plate_file()
+    as_is, asked = (
+        json.loads(run("diagnose", path, "--json", "--quiet", "--next", "never", *more)[1])
+        for more in ((), ("--prior-none", "0.9"))
+    )
+    for document, prior in ((as_is, 0.5), (asked, 0.9)):
+        assert document["priors"]["none"] == prior
+        assert document["next_measurement"] == []
+        assert document["air_density_kg_m3"] == {"plate 7": None}
+        assert 0.0 < document["basis_error"] < 1e-4
+    before, after = ({h["cause"]: h["prior"] for h in d["hypotheses"]} for d in (as_is, asked))
+    ratios = [after[name] / before[name] for name in before if name != "none"]
+    assert ratios == pytest.approx([0.2] * len(ratios))
+    # odds change as the priors do, but for the hypotheses that a first look then suffices for: 0.1 nats
+    odds = [next(h["probability"] for h in d["hypotheses"] if h["cause"] == "none") for d in (as_is, asked)]
+    assert odds[1] / (1 - odds[1]) == pytest.approx(9 * odds[0] / (1 - odds[0]), rel=0.15)
