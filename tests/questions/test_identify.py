@@ -3,7 +3,6 @@
 import json
 import math
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -11,15 +10,14 @@ import numpy as np
 import pytest
 
 from cpam_bayes.answer import Verdict
-from cpam_bayes.identification.point import PointEstimate, point_notices
+from cpam_bayes.identification.point import point_notices
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.plate import builtin
 from cpam_bayes.questions.identify import PointResult, identify
 from cpam_bayes.render.report import json_text
 from tests.answers import answered
+from tests.plates import with_plate
 from tests.stacking.cases import specimen as two_unknown_angles
-
-Shown = Callable[[PointEstimate], PointResult]
 
 
 @pytest.fixture(scope="module")
@@ -27,22 +25,24 @@ def point() -> PointResult:
     return answered("identify")
 
 
-@pytest.fixture(scope="module")
-def identification(point: PointResult) -> PointEstimate:
-    """The estimate alone, to be changed and put back by `with_estimate`."""
-    return point.estimate
+def with_estimate(point: PointResult, **changes: Any) -> PointResult:
+    estimate = replace(point.estimate, **changes)
+    return replace(point, specimen=estimate.specimen, estimate=estimate)
 
 
-@pytest.fixture(scope="module")
-def with_estimate(point: PointResult) -> Shown:
-    """The result with another estimate."""
-    return lambda estimate: replace(point, specimen=estimate.specimen, estimate=estimate)
+def with_constants(point: PointResult, n: int, **changes: Any) -> PointResult:
+    """The result with its first n constants changed."""
+    own = point.estimate.constants
+    changed = tuple(replace(c, **changes) for c in own[:n])
+    return with_estimate(point, constants=(*changed, *own[n:]))
 
 
-def with_constant(estimate: PointEstimate, **changes: Any) -> PointEstimate:
-    """The estimate with its first constant changed."""
-    first, *others = estimate.constants
-    return replace(estimate, constants=(replace(first, **changes), *others))
+def with_measurement(point: PointResult, **changes: Any) -> PointResult:
+    specimen = point.specimen
+    assert specimen.measurement is not None
+    return with_estimate(
+        point, specimen=replace(specimen, measurement=replace(specimen.measurement, **changes))
+    )
 
 
 def cells(result: PointResult, title: str) -> dict[str, tuple[str, ...]]:
@@ -51,7 +51,7 @@ def cells(result: PointResult, title: str) -> dict[str, tuple[str, ...]]:
     return {row[0]: row for table in tables for row in table.rows}
 
 
-def test_the_constants_are_records_in_si_and_rows_in_the_units_of_the_plate_file(point: PointResult) -> None:
+def test_constants_are_records_in_si_and_rows_in_the_units_of_the_plate_file(point: PointResult) -> None:
     e1 = point.constants["E1"]
     assert e1.verdict is Verdict.DATA
     assert point.to_dict()["constants"]["E1_GPa"]["value"] == pytest.approx(e1.value / 1e9)
@@ -60,9 +60,6 @@ def test_the_constants_are_records_in_si_and_rows_in_the_units_of_the_plate_file
         [v / 1e9 for v in (e1.value, *e1.interval)]
     )
     assert point.to_dataframe("frequencies")["measured_hz"].tolist() == [114, 167, 218, 289, 300, 497]
-
-
-def test_constants_frequencies_and_the_search_stand_behind_the_answer(point: PointResult) -> None:
     details = cells(point, "Constants in detail")
     assert details["E1"][4:6] == ("69", "69 +- 6.9 in 10 to 200")
     first = cells(point, "Frequencies, residual = predicted / measured - 1")["1"]
@@ -71,35 +68,28 @@ def test_constants_frequencies_and_the_search_stand_behind_the_answer(point: Poi
     assert f"{point.estimate.swarm.evaluations} forward solves" in cells(point, "Search")["work"][1]
 
 
-def test_a_constant_on_a_bound_is_open(identification: PointEstimate, with_estimate: Shown) -> None:
-    stuck = with_estimate(
-        with_constant(identification, bound="upper", verdict=Verdict.BOTH, value=200e9, interval=None)
-    )
+def test_a_constant_that_is_not_determined_is_flagged_with_the_reason(point: PointResult) -> None:
+    stuck = with_constants(point, 1, bound="upper", verdict=Verdict.BOTH, value=200e9, interval=None)
     (table,) = stuck.report().summary.tables
     assert table.rows[0][-1] == "not determined: at its upper bound"
     assert 0 in table.flagged
-    assert "determine none of the constants" in stuck.report().summary.headline
-
-
-def test_a_constant_that_is_not_determined_is_flagged(
-    identification: PointEstimate, with_estimate: Shown
-) -> None:
-    prior_sd = identification.specimen.unknowns["E1"].prior.sd
-    loose = with_estimate(with_constant(identification, verdict=Verdict.PRIOR, sd=0.87 * prior_sd))
+    prior_sd = point.specimen.unknowns["E1"].prior.sd
+    loose = with_constants(point, 1, verdict=Verdict.PRIOR, sd=0.87 * prior_sd)
     assert 0 in loose.report().summary.tables[0].flagged
     assert "87 %" in cells(loose, "Constants in detail")["E1"]
-    constants = tuple(replace(c, verdict=Verdict.PRIOR) for c in identification.constants)
-    none = with_estimate(replace(identification, constants=constants))
-    assert "determine none of the constants" in none.report().summary.headline
+    for none in (stuck, with_constants(point, 2, verdict=Verdict.PRIOR)):
+        assert "determine none of the constants" in none.report().summary.headline
 
 
-def test_without_spare_frequencies_there_are_no_intervals(
-    identification: PointEstimate, with_estimate: Shown
+def test_the_origin_of_the_noise_is_named_and_without_spare_frequencies_there_are_no_intervals(
+    point: PointResult,
 ) -> None:
-    constants = tuple(
-        replace(c, sd=math.nan, interval=None, verdict=Verdict.PRIOR) for c in identification.constants
-    )
-    blind = with_estimate(replace(identification, noise=math.nan, constants=constants))
+    assert "6 frequencies less 2 unknowns" in cells(point, "Fit")["noise"][1]
+    stated = with_measurement(point, relative_std=0.005, resolution=0.0)
+    given = with_estimate(stated, noise=0.005, noise_is_inferred=False)
+    assert cells(given, "Fit")["noise"][1] == "0.50 % of a frequency, as stated in the plate file"
+    unknown = with_constants(point, 2, sd=math.nan, interval=None, verdict=Verdict.PRIOR)
+    blind = with_estimate(unknown, noise=math.nan)
     assert not any("intervals contain" in line for line in blind.report().summary.lines)
     assert cells(blind, "Fit")["noise"][1] == "not known"
     document = blind.to_dict()
@@ -108,74 +98,48 @@ def test_without_spare_frequencies_there_are_no_intervals(
     assert document["constants"]["E1_GPa"]["q025"] is None
 
 
-def test_the_origin_of_the_noise_is_named(identification: PointEstimate, with_estimate: Shown) -> None:
-    assert "6 frequencies less 2 unknowns" in cells(with_estimate(identification), "Fit")["noise"][1]
-    measurement = identification.specimen.measurement
-    assert measurement is not None
-    specimen = replace(
-        identification.specimen, measurement=replace(measurement, relative_std=0.005, resolution=0.0)
-    )
-    given = with_estimate(replace(identification, specimen=specimen, noise=0.005, noise_is_inferred=False))
-    assert cells(given, "Fit")["noise"][1] == "0.50 % of a frequency, as stated in the plate file"
+def test_a_solver_error_a_budget_and_another_misfit_of_the_search_are_told(point: PointResult) -> None:
+    estimate = point.estimate
 
+    def told(residuals: str = "absolute", **changes: Any) -> dict[str, Any]:
+        return {n.code: n.facts for n in point_notices(replace(estimate, **changes), residuals)}
 
-def test_a_solver_error_or_a_budget_that_matters_is_told(identification: PointEstimate) -> None:
-    def codes(**changes: Any) -> set[str]:
-        return {n.code for n in point_notices(replace(identification, **changes), "absolute")}
-
-    plain = codes()
-    assert codes(noise=1e-4) - plain == {"solver_error"}
-    assert codes(error=np.full(6, 0.066), noise=math.nan) - plain == {"solver_error"}
-    assert codes(swarm=replace(identification.swarm, status="budget")) - plain == {"swarms_disagree"}
-
-
-def test_a_search_that_saw_another_misfit_than_the_plate_solver_is_told(
-    identification: PointEstimate,
-) -> None:
-    swarm = replace(identification.swarm, value=6 * 5.0**2)
-    found = {n.code: n.facts for n in point_notices(replace(identification, swarm=swarm), "absolute")}
-    assert found["search_model"]["reduced"] == pytest.approx(5.0)
-    assert identification.specimen.measurement is not None
-    measured = identification.specimen.measurement.frequencies
-    left = np.array([mode.frequency for mode in identification.predicted[: len(measured)]]) - measured
-    assert found["search_model"]["full"] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-6)
-    relative = replace(identification.swarm, value=6 * identification.rms**2)
-    codes = {n.code for n in point_notices(replace(identification, swarm=relative), "relative")}
-    assert "search_model" not in codes
-
-
-def with_labels(point: PointResult, *labels: str) -> PointResult:
-    measurement = point.specimen.measurement
-    assert measurement is not None
-    given = replace(measurement, labels=(*labels, *("" for _ in range(measurement.size - len(labels)))))
-    specimen = replace(point.specimen, measurement=given)
-    return replace(point, specimen=specimen, estimate=replace(point.estimate, specimen=specimen))
+    plain = set(told())
+    assert set(told(noise=1e-4)) - plain == {"solver_error"}
+    assert set(told(error=np.full(6, 0.066), noise=math.nan)) - plain == {"solver_error"}
+    assert set(told(swarm=replace(estimate.swarm, status="budget"))) - plain == {"swarms_disagree"}
+    search = told(swarm=replace(estimate.swarm, value=6 * 5.0**2))["search_model"]
+    assert search["reduced"] == pytest.approx(5.0)
+    measured = point.specimen.measurement.frequencies
+    left = np.array([mode.frequency for mode in estimate.predicted[: len(measured)]]) - measured
+    assert search["full"] == pytest.approx(np.sqrt(np.mean(left**2)), rel=1e-6)
+    assert "search_model" not in told("relative", swarm=replace(estimate.swarm, value=6 * estimate.rms**2))
 
 
 def test_labels_that_contradict_the_list_are_checked_first(point: PointResult) -> None:
+    def next_step(*labels: str) -> str:
+        return with_measurement(point, labels=(*labels, *[""] * (6 - len(labels)))).report().summary.next_step
+
     first, second = (mode.label for mode in point.estimate.predicted[:2])
-    for right in (point, with_labels(point, first, second)):
-        assert "cpam-bayes diagnose A1" in right.report().summary.next_step
-    swapped = with_labels(point, second, first).report().summary.next_step
-    assert "the labels, the edges (free on all four edges)" in swapped
+    for right in ((), (first, second)):
+        assert "cpam-bayes diagnose A1" in next_step(*right)
+    assert "the labels, the edges (free on all four edges)" in next_step(second, first)
 
 
 @pytest.mark.parametrize(("factor", "side"), [(0.7, "above"), (1.5, "below")])
 def test_a_wrong_thickness_is_the_first_line_of_the_screen(factor: float, side: str) -> None:
-    specimen = builtin("A1")
-    wrong = factor * specimen.plate.thickness
-    result = identify(replace(specimen, plate=replace(specimen.plate, thickness=wrong)), seed=0)
+    wrong = factor * builtin("A1").plate.thickness
+    result = identify(with_plate("A1", thickness=wrong), seed=0)
     first = result.report().summary.slips[0]
     assert f"far {side} the reference" in first
     (e1, _) = result.estimate.alone  # the reference does not count in what is compared with it
     right = 1e3 * wrong * (e1.value / 69e9) ** 0.5
     assert f"a thickness of {right:.2f} mm instead of {1e3 * wrong:g} mm" in first
-    assert abs(right / (1e3 * specimen.plate.thickness) - 1.0) < 0.02
+    assert abs(right * factor / (1e3 * wrong) - 1.0) < 0.02
 
 
 def test_a_noise_of_a_fifth_is_the_first_line_of_the_screen() -> None:
     specimen = builtin("A1")
-    assert specimen.measurement is not None
     noisy = replace(specimen, measurement=replace(specimen.measurement, relative_std=0.2))
     first = identify(noisy, seed=0).summary().splitlines()[1]
     assert first.startswith("  The stated repeatability, 0.2, is 20 % of a frequency")

@@ -1,18 +1,22 @@
-"""A sampled posterior as screen, document, figures and NetCDF."""
+"""A sampled posterior as screen, document, figures and NetCDF, and `identify --backend emcee`."""
 
+import copy
 import json
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from cpam_bayes.answer import Notice
+import cpam_bayes as cb
+from cpam_bayes.answer import Notice, Verdict
+from cpam_bayes.cli import prepare
 from cpam_bayes.inference.assessment import thinned
 from cpam_bayes.inference.completeness import profile_likelihoods
-from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.inference.sampling import basis_notices
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Uniform
 from cpam_bayes.plate import builtin
@@ -20,10 +24,13 @@ from cpam_bayes.questions.forward import forward
 from cpam_bayes.questions.identify import SampledResult, sample
 from cpam_bayes.questions.identify.posterior import product_text
 from cpam_bayes.render.report import json_text
+from cpam_bayes.render.terminal import plain_text
+from tests.answers import CHAINS as SETTINGS
 from tests.batches.plates import N_MODES, plate, written
+from tests.plate_file import MEASURED, Run, Write, described, refused
+from tests.plate_file import PLATE as WITHOUT_LIST
 
 SIZES = ("length_mm", "width_mm", "thickness_mm", "density_kg_m3")
-SETTINGS = EnsembleSettings(walkers=16, round_steps=300, effective=100.0, most_steps=600)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +57,9 @@ def screen(result: SampledResult) -> str:
     return result.summary(verbose=True)
 
 
-def test_the_document_is_json_with_what_is_promised(sampled: SampledResult) -> None:
+def test_the_document_has_what_is_promised_and_profiles_on_the_whole_basis(
+    sampled: SampledResult,
+) -> None:
     document = json.loads(json_text(sampled.to_dict()))
     assert 0.99 < document["evidence"]["exact_fraction"] <= 1.0 + 1e-9
     drawn = {drawing.name for drawing in sampled.drawings()}
@@ -73,9 +82,7 @@ def test_the_document_is_json_with_what_is_promised(sampled: SampledResult) -> N
         assert 0.0 < row["left_out"]["leverage"] < 1.0
         # a mode left out is predicted no better than one that is not, on the same side
         assert row["left_out"]["residual_percent"] / row["residual_percent"] > 1.0
-
-
-def test_profiles_are_those_on_the_whole_basis(sampled: SampledResult) -> None:
+    # the profile of Poisson's ratio spans its search interval, far beyond the draws of a narrow basis
     """That of Poisson's ratio spans its search interval, far beyond the draws of a narrow basis."""
     x, log_prob = sampled.result.draws, sampled.result.log_prob.ravel()
     again = profile_likelihoods(sampled.posterior, ("E1", "nu12"), x, log_prob)
@@ -83,21 +90,17 @@ def test_profiles_are_those_on_the_whole_basis(sampled: SampledResult) -> None:
         np.testing.assert_array_equal(found.drop, expected.drop)
 
 
-def test_a_narrow_basis_that_moves_the_chains_is_said(sampled: SampledResult) -> None:
+def test_what_an_answer_rests_on_is_told(sampled: SampledResult) -> None:
     evidence = replace(sampled.evidence, exact_fraction=0.6)
     assert basis_notices(evidence) == (Notice("narrow_basis", facts={"fraction": 0.6}),)
     assert basis_notices(sampled.evidence) == ()
-
-
-def test_peaks_that_are_no_mode_are_not_counted_as_determining(sampled: SampledResult) -> None:
+    # peaks that are no mode determine nothing
     mode = sampled.pairing.mode.copy()
     mode[2] = -1
-    result = replace(sampled, pairing=replace(sampled.pairing, mode=mode))
-    assert "The 6 frequencies determine" in sampled.report().summary.headline
-    assert "The 5 frequencies determine" in result.report().summary.headline
-
-
-def test_importance_sampling_is_quoted_where_it_is_reliable_alone(sampled: SampledResult) -> None:
+    unpaired = replace(sampled, pairing=replace(sampled.pairing, mode=mode))
+    for result, n in ((sampled, 6), (unpaired, 5)):
+        assert f"The {n} frequencies determine" in result.report().summary.headline
+    # importance sampling is quoted where it is reliable alone
     own = sampled.assessment
     assert own.importance is not None
     for k_hat, expected in ((0.5, "by importance sampling"), (0.9, "not reliable: k-hat 0.90")):
@@ -107,11 +110,9 @@ def test_importance_sampling_is_quoted_where_it_is_reliable_alone(sampled: Sampl
         assert expected in line
         psis = result.to_dict()["leave_one_out"]["psis"]
         assert (psis["log_score"] is None) == (k_hat > 0.7)
-
-
-def test_products_of_constants_leave_small_exponents_out(sampled: SampledResult) -> None:
-    c = replace(sampled.assessment.combinations[0], exponents=np.array([0.03, 1.0, -0.5]))
-    assert product_text(("E1", "E2", "G12"), c) == "E2 G12^-0.5"
+    # products of constants leave small exponents out
+    product = replace(own.combinations[0], exponents=np.array([0.03, 1.0, -0.5]))
+    assert product_text(("E1", "E2", "G12"), product) == "E2 G12^-0.5"
 
 
 _PLAIN = """
@@ -176,40 +177,24 @@ def test_densities_in_the_file_add_up(sampled: SampledResult, gappy: SampledResu
         np.testing.assert_allclose(lp.values.ravel(), whole, atol=1e-8)
 
 
-def test_the_same_posterior_gives_the_same_file(sampled: SampledResult, tmp_path: Path) -> None:
-    written = []
-    for name in ("first", "again"):
-        (tmp_path / name).mkdir()
-        sampled.to_arviz().to_netcdf(tmp_path / name / "posterior.nc")
-        written.append((tmp_path / name / "posterior.nc").read_bytes())
-    assert written[0] == written[1]
-
-
-def test_prior_draws_in_the_file_are_within_the_support(sampled: SampledResult) -> None:
-    prior = sampled.to_arviz().prior
-    assert prior.sizes["draw"] > 900  # the constraints (9) leave out few
-    nu = prior["nu12"].values
-    assert nu.mean() == pytest.approx(0.33, abs=4 * 0.01 / np.sqrt(900))
-    assert np.all((prior["E1_GPa"] >= 10.0) & (prior["E1_GPa"] <= 200.0))
-
-
-def test_the_hash_in_the_file_is_of_the_problem_and_not_of_the_chain(sampled: SampledResult) -> None:
-    other = replace(
-        sampled,
-        result=replace(
-            sampled.result, chain=sampled.result.chain[:, 3:], log_prob=sampled.result.log_prob[:, 3:]
-        ),
-    )
-    first, second = (
-        replace(r, seed=s).to_arviz().attrs["problem_hash"] for r, s in ((sampled, 0), (other, 1))
-    )
-    assert first == second
-    wider = replace(sampled.posterior, parameters=sampled.posterior.parameters)
-    parameters = tuple(
-        replace(p, prior=Uniform(5e9, 300e9)) if p.name == "E1" else p for p in wider.parameters.parameters
-    )
-    wider = replace(wider, parameters=ParameterSet(parameters))
-    assert replace(sampled, posterior=wider).to_arviz().attrs["problem_hash"] != first
+def test_the_same_posterior_gives_the_same_file_with_prior_draws_and_a_hash_of_the_problem(
+    sampled: SampledResult, tmp_path: Path
+) -> None:
+    data = sampled.to_arviz()
+    for name in ("first.nc", "again.nc"):
+        sampled.to_arviz().to_netcdf(tmp_path / name)
+    assert (tmp_path / "first.nc").read_bytes() == (tmp_path / "again.nc").read_bytes()
+    assert data.prior.sizes["draw"] > 900  # the constraints (9) leave out few
+    assert data.prior["nu12"].values.mean() == pytest.approx(0.33, abs=4 * 0.01 / np.sqrt(900))
+    assert np.all((data.prior["E1_GPa"] >= 10.0) & (data.prior["E1_GPa"] <= 200.0))
+    # the hash is not of the chain
+    chain, log_prob = (values[:, 3:] for values in (sampled.result.chain, sampled.result.log_prob))
+    shorter = replace(sampled, seed=1, result=replace(sampled.result, chain=chain, log_prob=log_prob))
+    assert shorter.to_arviz().attrs["problem_hash"] == data.attrs["problem_hash"]
+    own = sampled.posterior.parameters.parameters
+    wider = ParameterSet(tuple(replace(p, prior=Uniform(5e9, 300e9)) if p.name == "E1" else p for p in own))
+    other = replace(sampled, posterior=replace(sampled.posterior, parameters=wider))
+    assert other.to_arviz().attrs["problem_hash"] != data.attrs["problem_hash"]
 
 
 @pytest.mark.slow
@@ -231,18 +216,15 @@ def test_a_list_that_may_lack_modes_has_one_likelihood_and_no_pareto_diagnostics
 
 @pytest.mark.slow
 def test_a_slip_of_the_file_is_named_and_corrected(tmp_path: Path) -> None:
-    listed = plate("p")
-    listed["measurement"]["frequencies_hz"] = forward(
-        {**listed, "plate": {**listed["plate"], "edges": "CFFF"}}, N_MODES
-    ).frequencies.tolist()
-    answer = sample(written(tmp_path / "p.toml", listed), seed=0, settings=SETTINGS)
-    assert [(slip.kind, slip.edits) for slip in answer.explained_by] == [
-        ("clamped", {("plate", "edges"): "CFFF"})
-    ]
+    own = plate("p")
+    clamped = {**own, "plate": {**own["plate"], "edges": "CFFF"}}
+    own["measurement"]["frequencies_hz"] = forward(clamped, N_MODES).frequencies.tolist()
+    answer = sample(written(tmp_path / "p.toml", own), seed=0, settings=SETTINGS)
+    (slip,) = answer.explained_by
+    assert (slip.kind, slip.edits) == ("clamped", {("plate", "edges"): "CFFF"})
     assert "With the plate clamped at x = 0, not free (CFFF) it fits to" in answer.slips[0]
-    assert answer.report().summary.next_step == (
-        "correct the plate file, as in corrected.toml in the directory of --out."
-    )
+    told = "correct the plate file, as in corrected.toml in the directory of --out."
+    assert answer.report().summary.next_step == told
     assert 'edges = "CFFF"' in answer.texts()["corrected.toml"]
     assert [slip["slip"] for slip in answer.to_dict()["explained_by"]] == ["clamped"]
 
@@ -250,15 +232,170 @@ def test_a_slip_of_the_file_is_named_and_corrected(tmp_path: Path) -> None:
 def test_fewer_frequencies_than_unknowns_are_allowed_and_the_prior_is_said_to_decide() -> None:
     specimen = builtin("A1")
     assert specimen.measurement is not None
-    one = replace(
-        specimen.measurement,
-        frequencies=specimen.measurement.frequencies[:1],
-        labels=("",),
-        relative_std=0.01,
-    )
+    first = specimen.measurement.frequencies[:1]
+    one = replace(specimen.measurement, frequencies=first, labels=("",), relative_std=0.01)
     found = sample(replace(specimen, measurement=one), seed=0, settings=SETTINGS)
     assert found.notices[0] == Notice("few_frequencies", "slip", {"frequencies": 1, "unknowns": 2})
     assert found.assessment.combinations[1].contraction < 1e-6
     assert "the prior" in screen(found)
     found.figures()
     json_text(found.to_dict())
+
+
+# The command
+
+
+PLATE = (WITHOUT_LIST + MEASURED).replace(
+    "nu12 = [0.15, 0.4]", "nu12 = { mean = 0.3, sd = 0.05, bounds = [0.15, 0.4] }"
+)
+EMCEE = ("--backend", "emcee", "--quiet", "--steps", "200")
+LISTED = "[114, 167, 218, 289, 300, 497]"
+
+
+@pytest.fixture
+def plate_file(plate_file: Write) -> Write:
+    """Write the plate file with its list, some words replaced, and return its path."""
+    return partial(plate_file, text=PLATE)
+
+
+@pytest.mark.slow
+def test_sizes_stand_apart_from_the_constants_and_noise_has_a_scale_and_a_shape(plate_file: Write) -> None:
+    sizes = ("[material]", "[plate.sd]\nthickness_mm = 0.03\nwidth_mm = 0.1\n\n[material]")
+    finish = prepare(
+        ("identify", plate_file(sizes), *EMCEE, "--likelihood", "absolute", "--noise", "student-t")
+    )
+    assert isinstance(finish, partial)
+    answer = finish.args[0]()
+    document, report = answer.to_dict(), answer.report()
+    assert list(document["constants"]) == ["E1_GPa", "nu12"]
+    assert list(document["nuisance"]) == ["width_mm", "thickness_mm"]
+    thickness = document["nuisance"]["thickness_mm"]
+    assert thickness["reference"] == pytest.approx(3.0)
+    assert thickness["mean"] == pytest.approx(3.0, abs=0.02)
+    assert thickness["sd"] == pytest.approx(0.03, rel=0.4)  # frequencies say nothing of it beside E1
+    (first,) = report.summary.tables
+    assert [row[0] for row in first.rows] == ["E1", "nu12"]
+    assert document["noise"]["name"] == "absolute_sd_hz"
+    assert 0.5 < document["noise"]["mean"] < 20.0
+    assert document["degrees_of_freedom"] == 4.0
+    shown = [plain_text(t) for section in report.sections for t in section.tables if t.rows]
+    assert any("Hz, inferred, Student-t with 4" in text for text in shown)
+
+
+LABELLED = ("resolution_hz = 1.0", 'labels = ["(1,1)", "", "", "(9,9)", "", ""]')
+NO_MODE = "measurement.labels: received '(9,9)' for one frequency, no mode of the model has it"
+STATED = ("resolution_hz = 1.0", "relative_std = 0.01")
+TWICE = "measurement.relative_std: the absolute likelihood infers"
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "said"),
+    [
+        (STATED, (*EMCEE, "--likelihood", "absolute"), TWICE),
+        (LABELLED, EMCEE, NO_MODE),
+        (LABELLED, ("--quiet",), "(1,1) at 11"),
+        (("plate 7", "plate \\u001b[31m7"), EMCEE, r'name: malformed, received "plate \u001b'),
+        (("plate 7", "plate \\u202e7"), EMCEE, r"\u202e7"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(
+    run: Run, plate_file: Write, change: tuple[str, str], options: tuple[str, ...], said: str
+) -> None:
+    answer = run("identify", plate_file(change), *options)
+    refused(answer, said)
+    assert answer[2].replace("\n", "").isprintable()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [EMCEE, ("--quiet",)])
+def test_labels_put_modes_beside_their_frequencies(
+    run: Run, plate_file: Write, options: tuple[str, ...]
+) -> None:
+    labels = 'labels = ["(1,1)", "", "", "(1,2)", "(2,1)", ""]'  # the model has them the other way round
+    rows = json.loads(run("identify", plate_file(("resolution_hz = 1.0", labels)), *options, "--json")[1])
+    fourth, fifth = rows["frequencies"][3:5]
+    assert (fourth["label"], fifth["label"]) == ("(1,2)", "(2,1)")
+    assert fourth["predicted_hz"] > fifth["predicted_hz"]
+
+
+@pytest.mark.slow
+def test_a_store_serves_one_problem_and_a_damaged_round_or_a_full_disk_costs_no_answer(
+    run: Run, plate_file: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = tmp_path / "store"
+    command = ("identify", plate_file(), *EMCEE[:-1], "40", "--store", str(store))
+    answer = json.loads(run(*command, "--json")[1])
+    refused(run(*command, "--noise", "student-t"), "holds another problem")
+    first = store / "round_0000.arrays"
+    first.write_bytes(first.read_bytes()[:700])
+    _, out, err = run(*command, "--json")
+    assert json.loads(out)["constants"] == answer["constants"]
+    assert f"warning: {first} was damaged: it is set aside as round_0000.arrays.damaged" in err
+    moved = Path.replace
+
+    def full(self: Path, target: Path) -> Path:
+        if self.parent.name == "full":
+            raise OSError(28, "No space left on device")
+        return moved(self, target)
+
+    monkeypatch.setattr(Path, "replace", full)
+    status, out, err = run(*command[:-1], str(tmp_path / "full"), "--json")
+    assert status == 1
+    document = json.loads(out)
+    assert document["constants"] == answer["constants"]
+    assert any("cannot be written (No space left on device)" in text for text in document["warnings"])
+    assert "cannot be written" in err
+
+
+@pytest.mark.slow
+def test_a_list_that_lacks_a_mode_is_put_in_doubt(run: Run, plate_file: Write) -> None:
+    status, _, err = run("identify", plate_file((LISTED, "[114, 167, 289, 300, 497]"), STATED), *EMCEE)
+    assert status in (0, 1)
+    assert "to lack the mode (2,0)+(0,2) near 2" in err
+    assert "modes may be missing from it" in err
+
+
+# A posterior of one list as the prior of another
+
+
+EXACT = {"length_mm": 0.0, "width_mm": 0.0, "density_kg_m3": 0.0}
+UNKNOWNS = {"E1_GPa": [60.0, 200.0], "E2_GPa": [5.0, 20.0], "nu12": [0.1, 0.5], "G12_GPa": [2.0, 10.0]}
+MATERIAL = {"E1_GPa": 120.0, "E2_GPa": 9.0, "nu12": 0.3, "G12_GPa": 5.0, "name": "carbon"}
+FIRST: dict[str, Any] = described((300.0, 220.0, 2.0), 1550.0, MATERIAL, layup="[0_8]", unknowns=UNKNOWNS)
+# one error of all moduli: they are known far better relative to each other
+FIRST["plate"]["sd"] = {**EXACT, "thickness_mm": 0.04}
+
+
+def listed(plate: dict[str, Any], n: int, rng: np.random.Generator) -> None:
+    f = cb.forward(plate, n_modes=n).frequencies
+    noisy = np.sort(f * (1.0 + 0.003 * rng.standard_normal(n))).tolist()
+    plate["measurement"] = {"frequencies_hz": noisy, "relative_std": 0.003, "frequency_scale_sd": 0.0}
+
+
+@pytest.mark.slow
+def test_the_posterior_of_a_former_plate_as_prior_gives_what_both_lists_give_together(tmp_path: Path) -> None:
+    """Sisters without scatter. The former one's thickness is gauged badly, which correlates its moduli.
+
+    The second list tells E1 and G12 well; that E2 is then known too is what the correlations say.
+    """
+    rng = np.random.default_rng(1)
+    first, second = (copy.deepcopy(FIRST) | {"name": name} for name in ("first", "second"))
+    second["plate"] |= {"edges": "CFFF", "width_mm": 60.0, "sd": {**EXACT, "thickness_mm": 0.0}}
+    listed(first, 8, rng)
+    listed(second, 4, rng)
+    together = cb.identify(first, second, seed=0, scatter=1e-4).constants
+    cb.identify(first, seed=0).save(tmp_path)
+    second["material"]["posterior"] = str(tmp_path / "posterior.nc")
+    after = cb.read_plate(second)
+    answers = (cb.identify(after, seed=0).constants, cb.sample(after, seed=0).constants)
+    for name, expected in together.items():
+        for answer in answers:
+            # draws of the former posterior, 600 effective ones or more, and the normal form of its prior
+            assert answer[name].value == pytest.approx(expected.value, abs=0.15 * expected.sd), name
+            assert answer[name].sd == pytest.approx(expected.sd, rel=0.1), name
+            # what the former plate measured counts as measured, what it took from a reference does not
+            assert (answer[name].verdict is Verdict.DATA) == (name != "nu12"), name
+    independent = tuple(replace(p, coupled=None) for p in after.unknowns.parameters)
+    without = replace(after, unknowns=ParameterSet(independent))
+    wider = cb.identify(without, seed=0, residuals="whitened").constants["E2"].sd
+    assert wider > 2.0 * together["E2"].sd

@@ -13,7 +13,7 @@ import cpam_bayes as cb
 from cpam_bayes.plate import Specimen
 from cpam_bayes.questions.identify import slips
 from cpam_bayes.questions.identify.slips import Slip, corrected_file, explaining_slips
-from tests.batches.plates import N_MODES, plate
+from tests.batches.plates import N_MODES, plate, written
 from tests.hybrids import hybrid
 from tests.plate_file import described
 
@@ -25,27 +25,6 @@ PLATE = described(
     layup="[0_8]",
     unknowns={"E1_GPa": [80.0, 200.0], "E2_GPa": [5.0, 16.0], "nu12": [0.15, 0.45], "G12_GPa": [2.5, 10.0]},
 ) | {"name": "p"}
-
-EXCHANGED = """
-[plate]
-length_mm = 228.0   # x
-width_mm = 310
-thickness_mm = 3.1
-density_kg_m3 = 1550
-layup = "[0_8]"
-edges = "FFFF"
-[material]
-E1_GPa = 132.0
-E2_GPa = 9.1
-nu12 = 0.31
-G12_GPa = 4.8
-[unknowns]
-E1_GPa = [80, 200]
-E2_GPa = [5, 16]
-nu12 = [0.15, 0.45]
-G12_GPa = [2.5, 10]
-[measurement]
-"""
 
 
 def stated(frequencies: Any, **plate: Any) -> dict[str, Any]:
@@ -69,10 +48,15 @@ def found(file: dict[str, Any]) -> list[tuple[str, int]]:
     return [(slip.kind, slip.number) for slip in explaining_slips(cb.read_plate(file))]
 
 
+def changed(place: int, factor: float) -> dict[str, Any]:
+    """The plate file of a list with one number that is wrong by a factor."""
+    return stated(listed(11) * np.where(np.arange(11) == place, factor, 1.0))
+
+
 def test_sides_exchanged_are_named_and_written_anew(tmp_path: Path) -> None:
-    path = tmp_path / "p.toml"
-    measured = f"frequencies_hz = {np.sort(listed()).tolist()}\nrelative_std = {NOISE}\n"
-    path.write_text(f'name = "p"\n{EXCHANGED}{measured}', encoding="utf-8")
+    path = written(tmp_path / "p.toml", stated(listed(), length_mm=228.0, width_mm=310.0))
+    text = path.read_text(encoding="utf-8").replace("length_mm = 228.0\n", "length_mm = 228.0   # x\n")
+    path.write_text(text, encoding="utf-8")
     answer = cb.identify(str(path), seed=0)
     assert [slip.kind for slip in answer.explained_by] == ["sides"]
     assert answer.explained_by[0].rms < 2.0 * NOISE < 0.1 * answer.estimate.rms
@@ -93,18 +77,15 @@ def test_sides_exchanged_are_named_and_written_anew(tmp_path: Path) -> None:
         ),
         (lambda: stated(np.delete(listed(11), 3)), ("missed", 4)),
         (lambda: stated(np.append(listed(11)[:10], 250.0)), ("false", 4)),
-        (lambda: stated(listed(11) * np.where(np.arange(11) == 10, 10.0, 1.0)), ("decimal", 11)),
-        (lambda: stated(listed(11) * np.where(np.arange(11) == 2, 1.12, 1.0)), ("misread", 3)),
+        (lambda: changed(10, 10.0), ("decimal", 11)),
+        (lambda: changed(2, 1.12), ("misread", 3)),
         # misread by so much that it stands two places further on
-        (lambda: stated(listed(11) * np.where(np.arange(11) == 2, 1.75, 1.0)), ("misread", 5)),
+        (lambda: changed(2, 1.75), ("misread", 5)),
         pytest.param(
             lambda: stated(listed(edges="CFCF"), edges="SFSF"), ("supports", 0), marks=pytest.mark.slow
         ),
     ],
-    ids=(
-        *("edges", "missed", "false", "decimal", "misread"),
-        *("misread and sorted", "supports"),
-    ),
+    ids=("edges", "missed", "false", "decimal", "misread", "misread and sorted", "supports"),
 )
 def test_a_slip_is_named(file: Any, expected: tuple[str, int]) -> None:
     assert found(file()) == [expected]
@@ -121,7 +102,7 @@ def test_slips_are_weighed_once_where_a_list_is_reached_by_none_but_them(
 
     monkeypatch.setattr(slips, "explaining_slips", counted)
     # a point put wrong within the list
-    answer = cb.identify(stated(listed(11) * np.where(np.arange(11) == 9, 0.1, 1.0)), seed=0)
+    answer = cb.identify(changed(9, 0.1), seed=0)
     assert [(slip.kind, slip.number) for slip in answer.explained_by] == [("decimal", 1)]
     assert weighed == ["p"]
 
@@ -170,31 +151,39 @@ def test_two_slips_of_one_spectrum_are_both_named() -> None:
     assert sorted(kind for kind, _ in both) == ["edges", "layup"]
 
 
-def test_a_missed_mode_makes_the_list_incomplete(tmp_path: Path) -> None:
-    missed = {("measurement", "complete"): False}
-    slip = Slip("missed", 4, 0.0, cb.read_plate(stated(listed(11))), missed)
-    path = tmp_path / "p.toml"
-    path.write_text("[measurement]\nfrequencies_hz = [\n 1.0,\n 2.0,\n]\n", encoding="utf-8")
-    specimen = replace(slip.corrected, source=str(path))
-    assert corrected_file(specimen, slip) == (
-        "[measurement]\ncomplete = false\nfrequencies_hz = [\n 1.0,\n 2.0,\n]\n"
-    )
-    path.write_text('[measurement]\ntable = "modes.csv"\n', encoding="utf-8")
-    assert corrected_file(specimen, slip) is None
-    path.write_text("[measurement]\nfrequencies_hz = [1.0, 2.0, 3.0]\nleft_out = [3]\n", encoding="utf-8")
-    fewer = replace(slip, edits={("measurement", "frequencies_hz"): [1.0]})
-    assert corrected_file(specimen, fewer) is None, "left_out would number another row of the shorter list"
+LIST = ("measurement", "frequencies_hz")
+SIDES = {("plate", "length_mm"): 1.0, ("plate", "width_mm"): 2.0}
+MISSED = {("measurement", "complete"): False}
 
 
-def test_what_cannot_be_edited_is_not_written(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("text", "kind", "edits", "corrected"),
+    [
+        (
+            "[measurement]\nfrequencies_hz = [\n 1.0,\n 2.0,\n]\n",
+            "missed",
+            MISSED,
+            "[measurement]\ncomplete = false\nfrequencies_hz = [\n 1.0,\n 2.0,\n]\n",
+        ),
+        ('[measurement]\ntable = "modes.csv"\n', "missed", MISSED, None),
+        (
+            "[measurement]\nfrequencies_hz = [1.0,  # hit [1]\n 2.0]\n",
+            "false",
+            {LIST: [1.0]},
+            "[measurement]\nfrequencies_hz = [1.0]\n",
+        ),
+        # left_out would number another row of the shorter list
+        ("[measurement]\nfrequencies_hz = [1.0, 2.0, 3.0]\nleft_out = [3]\n", "false", {LIST: [1.0]}, None),
+        ("plate = {length_mm = 2.0, width_mm = 1.0}\n", "sides", SIDES, None),
+    ],
+)
+def test_what_can_be_edited_is_corrected_in_the_file(
+    tmp_path: Path, text: str, kind: Any, edits: dict[tuple[str, str], Any], corrected: str | None
+) -> None:
     path = tmp_path / "p.toml"
+    path.write_text(text, encoding="utf-8")
     specimen = replace(cb.read_plate(stated(listed(11))), source=str(path))
-    path.write_text("[measurement]\nfrequencies_hz = [1.0,  # hit [1]\n 2.0]\n", encoding="utf-8")
-    fewer = Slip("false", 2, 2.0, specimen, {("measurement", "frequencies_hz"): [1.0]})
-    assert corrected_file(specimen, fewer) == "[measurement]\nfrequencies_hz = [1.0]\n"
-    path.write_text("plate = {length_mm = 2.0, width_mm = 1.0}\n", encoding="utf-8")
-    sides = Slip("sides", 0, 0.0, specimen, {("plate", "length_mm"): 1.0, ("plate", "width_mm"): 2.0})
-    assert corrected_file(specimen, sides) is None
+    assert corrected_file(specimen, Slip(kind, 2, 0.0, specimen, edits)) == corrected
 
 
 def test_a_turned_layup_keeps_the_names_of_its_plies() -> None:
