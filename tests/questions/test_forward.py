@@ -22,33 +22,25 @@ def with_list(
     result: ForwardResult, labels: tuple[str, ...], factor: float = 1.01, *, complete: bool = True
 ) -> ForwardResult:
     """The result beside a list of its own frequencies times a factor, in the order of the labels."""
-    measurement = result.specimen.measurement
-    assert measurement is not None
     order = [[mode.label for mode in result.modes].index(label) if label else -1 for label in labels]
     free = iter([j for j in range(len(result.modes)) if j not in order])
-    of = [next(free) if j < 0 else j for j in order]
-    listed = replace(
-        measurement, frequencies=factor * result.frequencies[of], labels=labels, complete=complete
-    )
+    frequencies = factor * result.frequencies[[next(free) if j < 0 else j for j in order]]
+    assert result.specimen.measurement is not None
+    listed = replace(result.specimen.measurement, frequencies=frequencies, labels=labels, complete=complete)
     return replace(result, specimen=replace(result.specimen, measurement=listed))
 
 
 def paired(result: ForwardResult) -> list[tuple[float | None, str | None]]:
     """Measured frequency over the computed one, and how the two were paired."""
-    modes = result.to_dict()["modes"]
     return [
-        (m["measured_hz"] and round(m["measured_hz"] / m["frequency_hz"], 6), m["paired_by"]) for m in modes
+        (m["measured_hz"] and round(m["measured_hz"] / m["frequency_hz"], 6), m["paired_by"])
+        for m in result.to_dict()["modes"]
     ]
 
 
-def test_without_labels_a_list_stands_beside_the_modes_in_order(carbon: ForwardResult) -> None:
+def test_a_label_puts_a_frequency_beside_its_mode_and_the_others_in_order(carbon: ForwardResult) -> None:
     assert paired(with_list(carbon, ("", "", ""))) == 3 * [(1.01, "order")]
     assert paired(with_list(carbon, ("", "", ""), complete=False)) == 3 * [(None, None)]
-
-
-def test_a_label_puts_a_frequency_beside_its_mode_and_the_others_in_order(
-    carbon: ForwardResult,
-) -> None:
     first, second, third = (mode.label for mode in carbon.modes)
     shown = with_list(carbon, (second, first, ""))
     assert paired(shown) == [(1.01, "label"), (1.01, "label"), (1.01, "order")]
@@ -70,19 +62,14 @@ def test_a_label_of_no_computed_mode_is_warned_of(carbon: ForwardResult) -> None
     assert said.facts["labels"] == (("(9,9)", measurement.frequencies[0]),)
 
 
-@pytest.mark.parametrize(
-    ("factor", "said", "cell"),
-    [
+def test_a_difference_beyond_all_constants_is_a_factor(carbon: ForwardResult) -> None:
+    for factor, said, cell in (
         (1 / 985.0, "They are 985 times the measured ones.", "985 times"),
         (1 / 1.02, "+2.0 to +2.0 %", "+2.00"),
-    ],
-)
-def test_a_difference_beyond_all_constants_is_a_factor(
-    carbon: ForwardResult, factor: float, said: str, cell: str
-) -> None:
-    words = with_list(carbon, ("", "", ""), factor).report().summary
-    assert said in words.headline
-    assert cell in plain_text(words.tables[0])
+    ):
+        summary = with_list(carbon, ("", "", ""), factor).report().summary
+        assert said in summary.headline
+        assert cell in plain_text(summary.tables[0])
 
 
 def strip(edges: str, n: int) -> ForwardResult:
@@ -106,9 +93,7 @@ def test_a_strip_is_held_on_the_nodal_lines_of_its_first_mode_and_hit_where_all_
     # the first three move more; the place that was chosen is no worse
     assert min(m.at_hit for m in several.modes) >= 0.302
     assert "four soft pads" in several.sentence
-
-
-def test_a_clamped_strip_needs_no_pads_and_is_hit_at_its_free_end() -> None:
+    # a clamped strip needs no pads and is hit at its free end
     held = strip("CFFF", 2).handling
     assert held is not None
     assert held.pads == ()

@@ -6,7 +6,6 @@ import os
 import subprocess
 import sys
 import tomllib
-from typing import Any
 
 import pytest
 
@@ -17,7 +16,6 @@ from tests.plate_file import refused
 
 FULL = ("--size", "310", "228", "3.1", "--mass", "340.7", "--edges", "FFFF", "--frequencies", "80.2", "146.3")
 
-ALUMINIUM: dict[str, Any] = {"material": "metal", "constants": (69.0, 0.33), "edges": "FFFF"}
 SHEET = ("--constants", "132", "9.1", "0.31", "4.8")
 
 
@@ -65,27 +63,17 @@ def test_bounds_hold_the_constants_of_the_data_sheet(tmp_path, material, constan
     cb.read_plate(path)
 
 
-def test_where_to_hold_and_to_hit_is_said_as_soon_as_the_plate_is_known(tmp_path):
-    known = cb.new(tmp_path / "known.toml", size_mm=(300, 200, 3), mass_g=486, **ALUMINIUM)
-    assert known.handling is not None
-    assert known.handling.sentence in known.summary().replace("\n  ", " ")
-    assert cb.new(tmp_path / "size.toml", size_mm=(300, 200, 3)).handling is None
-
-
-def test_what_is_not_known_is_said_and_stands_in_comments(tmp_path):
+def test_what_is_not_known_is_said_and_stands_in_comments_that_fill_the_gaps(tmp_path):
     path = tmp_path / "panel.toml"
-    keys = [problem.partition(":")[0] for problem in cb.new(path).to_dict()["missing"]]
+    new = cb.new(path)
+    keys = [problem.partition(":")[0] for problem in new.to_dict()["missing"]]
     of_plate = ("plate.length_mm", "plate.width_mm", "plate.thickness_mm", "plate.edges", "plate.layup")
     of_material = (f"material.{key}" for key in MATERIALS["carbon"].constants)
     assert sorted(keys) == sorted(("plate", *of_plate, *of_material, "measurement"))
     with pytest.raises(PlateFileError) as caught:
         cb.read_plate(path)
     assert len(caught.value.problems) == len(keys)
-
-
-def test_lines_in_comments_are_examples_that_fill_the_gaps(tmp_path):
-    path = tmp_path / "panel.toml"
-    lines = cb.new(path).text.splitlines()
+    lines = new.text.splitlines()
     filled = [line[2:] if line.startswith("# ") and " = " in line else line for line in lines]
     # of two ways to give frequencies a file takes one, and a list of sd or sensors needs its head
     text = "\n".join(line for line in filled if not line.startswith("table"))
@@ -96,14 +84,6 @@ def test_lines_in_comments_are_examples_that_fill_the_gaps(tmp_path):
     specimen = cb.read_plate(path)
     assert specimen.measurement.complete is False
     assert specimen.plate.sd
-
-
-def test_a_table_takes_the_place_of_the_frequencies(run, tmp_path):
-    (tmp_path / "modes.csv").write_text("mode;hz\n1;80,2\n2;146,3\n", encoding="utf-8")
-    path = tmp_path / "panel.toml"
-    stated = ("--layup", "[0]", *SHEET)
-    assert run("new", path, *FULL[:8], *stated, "--table", "modes.csv", "--quiet")[0] == 0
-    assert cb.read_plate(path).measurement.frequencies.tolist() == [80.2, 146.3]
 
 
 @pytest.mark.parametrize(
@@ -195,7 +175,7 @@ WRONG = {
 }
 
 
-def test_what_cannot_be_is_asked_again(asked, path):
+def test_what_cannot_be_is_asked_again_and_back_ends_at_the_first_question(asked, path):
     lines = [line for at, right in enumerate(ANSWERS) for line in (*WRONG[at], right)]
     status, _, rest, left = asked(*lines)
     assert (status, left) == (0, "")
@@ -204,9 +184,8 @@ def test_what_cannot_be_is_asked_again(asked, path):
         assert found, before
     read = cb.read_plate(path)
     assert (read.plate.mass, read.plate.edges, read.measurement.size) == (0.3407, "FFFF", 3)
-
-
-def test_back_passes_over_what_was_not_asked_and_ends_at_the_first_question(asked, path):
+    # back passes over what was not asked
+    path.unlink()
     in_cm = ("31 22.8 0.31", "340.7", "<")
     status, _, err, _ = asked("<", *in_cm, "300 280 3", "680", "metal", "<", *ANSWERS[2:])
     assert status == 0
@@ -218,33 +197,49 @@ def test_back_passes_over_what_was_not_asked_and_ends_at_the_first_question(aske
 @pytest.mark.parametrize(
     "size", ["310 x 228 x 3.1", "310x228x3,1", "310 228 3,1", "310, 228, 3.1", "310;228;3.1"]
 )
-def test_numbers_are_read_as_they_are_written_by_hand(asked, path, size):
+def test_numbers_are_read_as_they_are_written_by_hand_and_empty_lines_leave_all_open(
+    asked, path, tmp_path, size
+):
     assert asked(size, "340,7", *[""] * 8, "80,2 146,3 218,6")[0] == 0
     read = tomllib.loads(path.read_text("utf-8"))
     sizes = [read["plate"][key] for key in ("length_mm", "width_mm", "thickness_mm", "mass_g")]
     assert sizes == [310.0, 228.0, 3.1, 340.7]
     assert read["measurement"]["frequencies_hz"] == [80.2, 146.3, 218.6]
-
-
-def test_empty_lines_leave_all_open(asked, path, tmp_path):
+    path.unlink()
     assert asked(*[""] * 11)[0] == 0
     (tmp_path / "other").mkdir()
     assert path.read_text("utf-8") == cb.new(tmp_path / "other" / "panel.toml").text
 
 
-def test_a_metal_has_no_layup_and_a_table_no_list(asked, path, tmp_path):
-    (tmp_path / "modes.csv").write_text("mode,hz\n1,80.2\n2,146.3\n", encoding="utf-8")
+def test_a_metal_has_no_layup_and_a_table_no_list(run, asked, path, tmp_path):
+    (tmp_path / "modes.csv").write_text("mode;hz\n1;80,2\n2;146,3\n", encoding="utf-8")
     status, _, _, left = asked("300 280 3", "680", "Metal", "69 0.33", "FFFF", "", "", "no", "modes.csv", "")
     assert status == 0
     assert left == "\n", "the list is not asked for"
     plate = cb.read_plate(path)
     assert plate.material.isotropic
-    assert plate.measurement.size == 2
+    assert plate.measurement.frequencies.tolist() == [80.2, 146.3]
+    of_table = ("--size", "300", "280", "3", "--mass", "680", "--edges", "FFFF")
+    metal = ("--material", "metal", "--constants", "69", "0.33", "--table", "modes.csv", "--quiet")
+    path.unlink()
+    assert run("new", path, *of_table, *metal)[0] == 0
+    assert cb.read_plate(path).measurement.frequencies.tolist() == [80.2, 146.3]
+    # where to hold and to hit is said as soon as the plate is known
+    size = cb.new(tmp_path / "size.toml", size_mm=(300, 200, 3))
+    sheet = {"material": "metal", "constants": (69.0, 0.33), "edges": "FFFF"}
+    known = cb.new(tmp_path / "known.toml", size_mm=(300, 200, 3), mass_g=486, **sheet)
+    assert size.handling is None
+    assert known.handling.sentence in known.summary().replace("\n  ", " ")
 
 
-def test_an_end_of_the_answers_writes_nothing(asked, tmp_path):
+def test_an_end_of_the_answers_writes_nothing_and_a_script_is_asked_nothing(asked, path, tmp_path):
     refused(asked(*ANSWERS[:3])[:3], "not answered to the end")
     assert list(tmp_path.iterdir()) == []
+    for argv in (("--json",), ("--edges", "FFFF")):
+        status, _, err, left = asked(*ANSWERS, argv=argv)
+        assert (status, err) == (0, "")
+        assert left.startswith(ANSWERS[0])
+        path.unlink()
 
 
 @pytest.mark.parametrize("argv", [(), FULL])
@@ -253,13 +248,6 @@ def test_a_file_that_is_there_is_refused_before_the_first_question(asked, path, 
     status, _, err, _ = asked(*ANSWERS, argv=argv)
     assert (status, err) == (2, f"error: {path}: exists; give another name\n")
     assert path.read_text("utf-8") == "mine"
-
-
-@pytest.mark.parametrize("argv", [("--json",), ("--edges", "FFFF")])
-def test_a_script_is_asked_nothing(asked, argv):
-    status, _, err, left = asked(*ANSWERS, argv=argv)
-    assert (status, err) == (0, "")
-    assert left.startswith(ANSWERS[0])
 
 
 @pytest.mark.skipif(not hasattr(os, "openpty"), reason="a terminal of POSIX")

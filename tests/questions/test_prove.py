@@ -18,6 +18,7 @@ from tests.plate_file import PLATE, Run
 N = 8
 COIN = {"mass_g": 20.0, "x_mm": 60.0, "y_mm": 50.0}
 SEAL = "[[coin]]\nmass_g = 20\nx_mm = 60\ny_mm = 50\n\n[[coin]]\nmass_g = 0\n"
+DIGEST = hashlib.sha256(SEAL.encode()).hexdigest()
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +68,10 @@ def test_a_table_and_a_list_are_answered_and_the_seal_is_compared(result: CoinRe
     assert 0.0 < document["detection_limit_g"] < 20.0
 
 
-def test_the_second_list_is_predicted_from_the_first_and_the_seal(result: CoinResult) -> None:
+def test_the_certificate_says_what_was_found_for_what_was_sealed_and_the_shifts(
+    result: CoinResult,
+) -> None:
+    # the second list is predicted from the first and the seal
     document = result.to_dict()
     rows = document["shifts"]
     assert len(rows) == 2 * N
@@ -81,31 +85,9 @@ def test_the_second_list_is_predicted_from_the_first_and_the_seal(result: CoinRe
     assert 0.0 < document["shift_error"] < 0.5
     certificate = plain_text(result.report().sections[0].tables[0])
     assert "repeatability, from the shifts" in certificate
-
-
-def test_the_hash_is_that_of_the_sealed_file(result: CoinResult) -> None:
-    digest = hashlib.sha256(SEAL.encode()).hexdigest()
-    assert result.hash == result.to_dict()["hash"] == digest
-    assert digest in plain_text(result.report().sections[0].tables[0])
-
-
-@pytest.mark.parametrize("quiet", [(), ("--quiet",)])  # without progress, not without the promise
-def test_the_hash_is_shown_before_the_work(
-    run: Run, lists: tuple[Path, str, str, str], monkeypatch: pytest.MonkeyPatch, quiet: tuple[str, ...]
-) -> None:
-    def begun(*args: object, **options: object) -> None:
-        raise ValueError("the work has begun")
-
-    monkeypatch.setattr("cpam_bayes.questions.prove.identify", begun)
-    folder, *files = lists
-    _, out, err = run("prove", *files, "--sealed", folder / "seal.toml", *quiet)
-    digest = hashlib.sha256(SEAL.encode()).hexdigest()
-    assert (out, err) == ("", f"SHA-256 of the seal: {digest}\nerror: the work has begun\n")
-
-
-def test_the_certificate_says_what_was_found_for_what_was_sealed_and_the_mirror_images(
-    result: CoinResult,
-) -> None:
+    assert result.hash == document["hash"] == DIGEST
+    assert DIGEST in certificate
+    # what was found is said beside what was sealed, with its mirror images
     coin, none = (coin.found for coin in result.coins)
     certificate = result.report().sections[0].tables[0]
     of_coin, of_none = (row[1] for row in certificate.rows if row[0] in ("coin.csv", "none.toml"))
@@ -123,57 +105,59 @@ def test_the_certificate_says_what_was_found_for_what_was_sealed_and_the_mirror_
     assert f"({1e3 * coin.images[0][0]:.0f}, {1e3 * coin.images[0][1]:.0f})" in said
 
 
+@pytest.mark.parametrize("quiet", [(), ("--quiet",)])  # without progress, not without the promise
+def test_the_hash_is_shown_before_the_work(
+    run: Run, lists: tuple[Path, str, str, str], monkeypatch: pytest.MonkeyPatch, quiet: tuple[str, ...]
+) -> None:
+    def begun(*args: object, **options: object) -> None:
+        raise ValueError("the work has begun")
+
+    monkeypatch.setattr("cpam_bayes.questions.prove.identify", begun)
+    folder, *files = lists
+    _, out, err = run("prove", *files, "--sealed", folder / "seal.toml", *quiet)
+    assert (out, err) == ("", f"SHA-256 of the seal: {DIGEST}\nerror: the work has begun\n")
+
+
+COIN_OF = "[[coin]]\nmass_g = {}\nx_mm = {}\ny_mm = 3\n"
+NONE = "[[coin]]\nmass_g = 0\n"
+
+
 @pytest.mark.parametrize(
     ("seal", "said"),
     [
-        ("[[coin]]\nmass_g = 1\nx_mm = 2\ny_mm = 3\n", "1 tables"),
-        ("[[coin]]\nmass_g = 1\nx_mm = 2\n[[coin]]\nmass_g = 0\n", "mass_g, x_mm and y_mm"),
-        ("[[coin]]\nmass_g = 1\nx_mm = 999\ny_mm = 3\n[[coin]]\nmass_g = 0\n", "on the plate"),
-        (
-            "[[coin]]\nmass_g = 110\nx_mm = 9\ny_mm = 3\n[[coin]]\nmass_g = 0\n",
-            "0 to 100 g, 15 %",
-        ),
+        (COIN_OF.format(1, 2), "1 tables"),
+        ("[[coin]]\nmass_g = 1\nx_mm = 2\n" + NONE, "mass_g, x_mm and y_mm"),
+        (COIN_OF.format(7.25, 999) + NONE, "on the plate"),
+        (COIN_OF.format(110, 9) + NONE, "0 to 100 g, 15 %"),
+        (COIN_OF.format("5,1", 9) + NONE, r"seal\.toml:2: file: not valid TOML$"),
+        (None, "no such file, accepted: a sealed file"),
     ],
 )
-def test_a_seal_that_fits_no_list_is_refused_before_the_work(
-    lists: tuple[Path, str, str, str], tmp_path: Path, seal: str, said: str
+def test_a_seal_that_fits_no_list_is_refused_before_the_work_and_not_given_away(
+    lists: tuple[Path, str, str, str], tmp_path: Path, seal: str | None, said: str
 ) -> None:
     _, plate, coin, none = lists
-    (tmp_path / "seal.toml").write_text(seal, encoding="utf-8")
-    with pytest.raises(PlateFileError, match=said):
+    if seal is not None:
+        (tmp_path / "seal.toml").write_text(seal, encoding="utf-8")
+    with pytest.raises(PlateFileError, match=said) as refusal:
         cb.prove(plate, coin, none, sealed=tmp_path / "seal.toml")
+    assert not {"7.25", "999", "5,1"} & set(str(refusal.value).split())
 
 
-def test_a_seal_that_is_refused_is_not_given_away(lists: tuple[Path, str, str, str], tmp_path: Path) -> None:
+def test_lists_that_cannot_be_compared_are_refused(lists: tuple[Path, str, str, str], tmp_path: Path) -> None:
     _, plate, coin, _ = lists
-    (tmp_path / "seal.toml").write_text("[[coin]]\nmass_g = 7.25\nx_mm = 999\ny_mm = 3\n", encoding="utf-8")
-    with pytest.raises(PlateFileError) as refusal:
-        cb.prove(plate, coin, sealed=tmp_path / "seal.toml")
-    assert not {"7.25", "999"} & set(str(refusal.value).split())
-    (tmp_path / "torn.toml").write_text("[[coin]]\nmass_g = 5,1\nx_mm = 9\ny_mm = 3\n", encoding="utf-8")
-    with pytest.raises(PlateFileError) as refusal:
-        cb.prove(plate, coin, sealed=tmp_path / "torn.toml")
-    assert str(refusal.value).endswith("torn.toml:2: file: not valid TOML")
-    with pytest.raises(PlateFileError, match="no such file, accepted: a sealed file"):
-        cb.prove(plate, coin, sealed=tmp_path / "none.toml")
-    with pytest.raises(
-        PlateFileError, match="a sealed file, accepted: a list; give it as --sealed"
-    ) as refusal:
-        cb.prove(plate, coin, str(tmp_path / "seal.toml"))
+    seal = tmp_path / "seal.toml"
+    seal.write_text(COIN_OF.format(7.25, 60), encoding="utf-8")
+    with pytest.raises(PlateFileError, match="a sealed file, accepted: a list; give it as --seal") as refusal:
+        cb.prove(plate, coin, str(seal))
     assert "7.25" not in str(refusal.value)
-
-
-def test_a_plate_model_that_is_far_off_says_nothing_of_a_mass(lists: tuple[Path, str, str, str]) -> None:
-    _, plate, coin, _ = lists
+    with pytest.raises(PlateFileError, match="the same modes in both"):
+        cb.prove(plate, [100.0, 200.0])
+    # a plate model that is far off says nothing of a mass
     specimen = cb.read_plate(plate)
     clamped = replace(specimen, plate=replace(specimen.plate, edges="CFFF"))
     with pytest.raises(PlateFileError, match="% off the plate model, whose mode shapes"):
         cb.prove(clamped, coin)
-
-
-def test_a_list_of_another_length_is_refused(lists: tuple[Path, str, str, str]) -> None:
-    with pytest.raises(PlateFileError, match="the same modes in both"):
-        cb.prove(lists[1], [100.0, 200.0])
 
 
 def test_a_list_that_is_given_twice_is_told(lists: tuple[Path, str, str, str]) -> None:

@@ -37,9 +37,6 @@ def work(result: StackingResult) -> dict[str, str]:
     return dict(tables(result)["All stacking sequences"].rows)  # type: ignore[arg-type]
 
 
-SMALL = StackingSettings(draws=30, listed=12, log2_points=6)
-
-
 def test_an_error_of_a_size_does_to_the_constants_what_identify_says_of_the_most_probable_layup() -> None:
     result = stacking_result(answer(), mixture(), None, 0, 5)
     known = result.most_probable
@@ -52,7 +49,7 @@ def test_an_error_of_a_size_does_to_the_constants_what_identify_says_of_the_most
             assert one.shift == pytest.approx(other.shift, abs=0.005)
 
 
-def test_the_document_has_what_the_contract_names() -> None:
+def test_the_document_has_what_the_contract_names_and_the_first_screen_its_answer() -> None:
     own, mixed = answer(), mixture()
     result = stacking_result(own, mixed, None, 0, 5)
     assert {d.name for d in result.drawings()} == {"angles", "constants", "credible_set", "plate"}
@@ -76,35 +73,7 @@ def test_the_document_has_what_the_contract_names() -> None:
     # the list is one of the plate's own, without noise; two frequencies more than constants
     assert chi2.isf(document["p_value"], 2) < 0.1
     assert work(result)["noise"].startswith("1.0 % of a frequency, from the plate file; alone it leaves")
-
-
-def test_emcee_stands_beside_importance_sampling_for_each_constant_on_the_full_screen() -> None:
-    mixed = mixture()
-    wrong = replace(mixed.components[1], importance=mixed.components[0].importance)
-    for components in (mixed.components, (*mixed.components[:1], wrong)):
-        result = stacking_result(answer(), replace(mixed, components=components), None, 0, 5)
-        table = tables(result)["Constants over all sequences"]
-        headings = [column.text for column in table.columns]
-        at = headings.index("emcee off importance sampling, standard errors")
-        worst = result.to_dict()["mixture"]["worst_difference_in_standard_errors"]
-        assert max(float(row[at]) for row in table.rows) == pytest.approx(worst, abs=0.05)
-
-
-def test_the_printed_sequence_stands_in_document_and_screen() -> None:
-    own, mixed = answer(), mixture()
-    given = given_layup(own, np.array(TRUE))
-    with_given = replace(mixed, given=mixed.components[0])
-    result = stacking_result(own, with_given, given, 0, 5)
-    document = result.to_dict()
-    assert document["printed_sequence"]["rank"] == 1
-    assert document["printed_sequence"]["constants"] == document["sequences"][0]["constants"]
-    assert work(result)["printed"].startswith("30/-60: probability")
-    headings = tables(result)["Constants over all sequences"].headings
-    assert headings is not None
-    assert "given the printed one" in headings
-
-
-def test_the_first_screen_has_the_layup_its_probability_and_the_constants() -> None:
+    # the first screen has the layup, its probability and the constants
     own = answer()
     result = stacking_result(own, mixture(), None, 0, 5)
     report = result.report()
@@ -124,27 +93,38 @@ def test_the_first_screen_has_the_layup_its_probability_and_the_constants() -> N
     assert frame["angles_deg"][0] == [-30.0, 60.0]
 
 
-def test_chains_that_failed_or_disagree_are_warned_of() -> None:
-    mixed = mixture()
-    own = replace(answer(), log_evidence_error=np.zeros(len(answer().top)))
-    assert notices(own, mixed) == {}
-    first, second = mixed.components[:2]
-    failed = replace(first, diagnostics=replace(first.diagnostics, converged=False))
-    wrong = replace(second, importance=first.importance)
-    found = notices(own, replace(mixed, components=(failed, wrong)))
-    assert (found["sequence_chains"]["number"], found["sequence_disagrees"]["number"]) == (1, 2)
+def test_constants_over_all_sequences_have_emcee_and_the_printed_sequence_beside_them() -> None:
+    own, mixed = answer(), mixture()
+    wrong = replace(mixed.components[1], importance=mixed.components[0].importance)
+    for components in (mixed.components, (*mixed.components[:1], wrong)):
+        result = stacking_result(own, replace(mixed, components=components), None, 0, 5)
+        table = tables(result)["Constants over all sequences"]
+        headings = [column.text for column in table.columns]
+        at = headings.index("emcee off importance sampling, standard errors")
+        worst = result.to_dict()["mixture"]["worst_difference_in_standard_errors"]
+        assert max(float(row[at]) for row in table.rows) == pytest.approx(worst, abs=0.05)
+    printed = replace(mixed, given=mixed.components[0])
+    result = stacking_result(own, printed, given_layup(own, np.array(TRUE)), 0, 5)
+    document = result.to_dict()
+    assert document["printed_sequence"]["rank"] == 1
+    assert document["printed_sequence"]["constants"] == document["sequences"][0]["constants"]
+    assert work(result)["printed"].startswith("30/-60: probability")
+    headings = [column.text for column in tables(result)["Constants over all sequences"].columns]
+    assert "given the printed one" in headings
 
 
 def test_a_list_that_lacks_a_mode_is_paired() -> None:
     own = specimen()
     assert own.measurement is not None
-    every = own.measurement.frequencies
-    few = replace(own.measurement, frequencies=np.delete(every, 2), labels=("",) * 5, complete=False)
-    found = stacking_posterior(
-        replace(own, measurement=replace(few, relative_std=1e-3)),
-        0,
-        settings=SMALL,
-    )
+    every, settings = own.measurement.frequencies, StackingSettings(draws=30, listed=12, log2_points=6)
+    few = replace(own.measurement, complete=False, relative_std=1e-3)
+
+    def of_list(frequencies: np.ndarray) -> StackingPosterior:
+        labels = ("",) * len(frequencies)
+        measured = replace(few, frequencies=frequencies, labels=labels)
+        return stacking_posterior(replace(own, measurement=measured), 0, settings=settings)
+
+    found = of_list(np.delete(every, 2))
     fit = best_fit(found)
     np.testing.assert_allclose(fit.predicted, np.delete(every, 2), rtol=1e-3)
     np.testing.assert_allclose(fit.missed, every[2:3], rtol=5e-3)
@@ -153,21 +133,21 @@ def test_a_list_that_lacks_a_mode_is_paired() -> None:
     result = stacking_result(found, mixture(), None, 0, 5)
     assert result.to_dict()["missed_modes"] == [{"predicted_hz": pytest.approx(fit.missed[0])}]
     assert len(tables(result)["Missing from the measured frequencies"].rows) == 1
-    wrong = replace(
-        few, frequencies=np.sort(np.append(np.delete(every, 2), every[3] * 1.1)), labels=("",) * 6
-    )
-    stray = stacking_posterior(
-        replace(own, measurement=replace(wrong, relative_std=1e-3)),
-        0,
-        settings=SMALL,
-    )
+    stray = of_list(np.sort(np.append(np.delete(every, 2), every[3] * 1.1)))
     beside = stacking_result(stray, mixture(), None, 0, 5).to_dict()["frequencies"]
     assert [f["predicted_hz"] is None for f in beside].count(True) == 1
     assert notices(stray, mixture())["frequencies_without_mode"]["alone"] == 1
 
 
-def test_what_was_learned_badly_or_overlooked_is_warned_of() -> None:
+def test_what_failed_disagrees_was_learned_badly_or_overlooked_is_warned_of() -> None:
+    mixed = mixture()
     own = replace(answer(), log_evidence_error=np.zeros(len(answer().top)))
+    assert notices(own, mixed) == {}
+    first, second = mixed.components[:2]
+    failed = replace(first, diagnostics=replace(first.diagnostics, converged=False))
+    wrong = replace(second, importance=first.importance)
+    found = notices(own, replace(mixed, components=(failed, wrong)))
+    assert (found["sequence_chains"]["number"], found["sequence_disagrees"]["number"]) == (1, 2)
     good = SurrogateCheck(
         training_size=700,
         rms=0.1,
@@ -178,15 +158,14 @@ def test_what_was_learned_badly_or_overlooked_is_warned_of() -> None:
         fitted=500,
         sampled=300,
     )
-    assert notices(replace(own, check=good), mixture()) == {}
+    assert notices(replace(own, check=good), mixed) == {}
     bad = replace(own, check=replace(good, rms=2.5, overlooked=1.2), unaccounted=4e-3)
-    assert notices(bad, mixture()) == {
+    assert notices(bad, mixed) == {
         "rough_surrogate": {"rms": 2.5},
         "overlooked_sequence": {"better": 1.2},
         "sequences_left_out": {"probability": 4e-3},
     }
-    document = stacking_result(bad, mixture(), None, 0, 5).to_dict()
-    assert document["learned"]["overlooked_nats"] == 1.2
+    assert stacking_result(bad, mixed, None, 0, 5).to_dict()["learned"]["overlooked_nats"] == 1.2
 
 
 def test_draws_of_another_command_in_the_directory_are_kept_under_its_name(tmp_path: Path) -> None:
