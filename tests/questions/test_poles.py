@@ -303,6 +303,7 @@ LONG = wave(48_000, np.tile(np.array([255, 0], np.uint8), 4_100_000))
 @pytest.mark.parametrize(
     ("name", "content", "options", "said"),
     [
+        ("sub/hits", None, {}, "hits: no such file or folder, accepted"),
         ("none.unv", None, {}, "none.unv: no such file or folder, accepted: frequency responses"),
         ("", None, {}, "no recordings in this folder, accepted: .wav files"),
         (None, None, {}, "no file, accepted: one or more"),

@@ -148,9 +148,9 @@ def test_lists_that_cannot_be_compared_are_refused(lists: tuple[Path, str, str, 
     _, plate, coin, _ = lists
     seal = tmp_path / "seal.toml"
     seal.write_text(COIN_OF.format(7.25, 60), encoding="utf-8")
-    with pytest.raises(PlateFileError, match="a sealed file, accepted: a list; give it as --seal") as refusal:
+    with pytest.raises(PlateFileError, match="a sealed file, accepted: a list; give it as --sealed") as error:
         cb.prove(plate, coin, str(seal))
-    assert "7.25" not in str(refusal.value)
+    assert "7.25" not in str(error.value)
     with pytest.raises(PlateFileError, match="the same modes in both"):
         cb.prove(plate, [100.0, 200.0])
     # a plate model that is far off says nothing of a mass

@@ -191,7 +191,12 @@ WITHOUT_HEIGHT = "hz,sd\n100,0.1\n"
         ('recordings = ["empty"]', None, "no recordings in this folder"),
         ('recordings = ["noise.wav"]\nlabels = [""]', None, "beside candidate peaks, accepted: no labels"),
         ('peaks = "peaks.csv"\nrange_hz = [1, 2]', WITHOUT_HEIGHT, "beside no recordings"),
-        ('peaks = "peaks.csv"\nfrequencies_hz = [1]', WITHOUT_HEIGHT, "one of frequencies_hz, table, record"),
+        (
+            'peaks = "peaks.csv"\nfrequencies_hz = [100]',
+            WITHOUT_HEIGHT,
+            "one of frequencies_hz, table, recordings, peaks",
+        ),
+        ('recordings = ["folder"]', None, "no such file or folder"),
         ('peaks = "peaks.csv"', None, r"measurement\.peaks: no such file"),
         ('peaks = "peaks.csv"', WITHOUT_HEIGHT, "line 2, column height: no height"),
         (
