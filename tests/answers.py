@@ -63,7 +63,8 @@ SLOW: dict[str, Callable[[Path], Result]] = {
     ),
     "sequence": lambda folder: stacking_result(answer(), mixture(), None, 0, 5),
 }
-EVERY = [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)]
+LONG = {"calibrate": [pytest.mark.weekly]}
+EVERY = [*QUICK, *(pytest.param(name, marks=[pytest.mark.slow, *LONG.get(name, [])]) for name in SLOW)]
 
 
 @once_a_run

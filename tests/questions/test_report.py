@@ -68,6 +68,7 @@ def test_the_answer_of_all_frequencies_stands_beside_that_of_those_that_were_use
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_unknown_angles_are_weighed_and_the_most_probable_ones_diagnosed(few_causes, monkeypatch, tmp_path):
     found = stacking_result(answer(), mixture(), None, 0, 5)
     monkeypatch.setattr(combined, "sequence", lambda *args, **kwargs: found)

@@ -373,6 +373,7 @@ def listed(plate: dict[str, Any], n: int, rng: np.random.Generator) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_the_posterior_of_a_former_plate_as_prior_gives_what_both_lists_give_together(tmp_path: Path) -> None:
     """Sisters without scatter. The former one's thickness is gauged badly, which correlates its moduli.
 

@@ -83,7 +83,7 @@ def test_what_is_given_up_is_out_of_sight(specimen: Specimen, answer: StackingPo
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("relative_std", [0.01, None])
+@pytest.mark.parametrize("relative_std", [pytest.param(0.01, marks=pytest.mark.weekly), None])
 def test_the_evidence_of_a_sequence_is_that_of_the_known_layup(relative_std: float | None) -> None:
     specimen = listed("[(?/?)_2]_s", 15.0, TRUE, relative_std)
     assert specimen.measurement is not None
@@ -129,7 +129,8 @@ def test_the_surrogate_gives_the_distribution_of_brute_force(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("relative_std", [pytest.param(0.01, marks=pytest.mark.weekly), None])
+@pytest.mark.weekly
+@pytest.mark.parametrize("relative_std", [0.01, None])
 def test_of_1296_sequences_pruned_and_by_surrogate_the_distribution_is_that_of_brute_force(
     relative_std: float | None,
 ) -> None:
@@ -183,6 +184,7 @@ def test_of_a_hybrid_the_sequence_and_a_modulus_of_each_material_are_found() -> 
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_the_truth_is_among_the_few_sequences_that_are_good_with_more_noise() -> None:
     layup, truth, step = "[(?/?/?)_2]_s", (30.0, -60.0, 10.0), 10.0
     few = TrainingSettings(initial=60, exploration_rounds=3, each_round=40, max_size=180, log2_points=4)
@@ -273,6 +275,7 @@ def test_a_focus_within_a_tolerance_for_most_frequencies_has_fewer_vectors(own: 
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_unsure_evidences_are_those_of_the_whole_model_on_bases_of_their_own(
     specimen: Specimen, own: ConditionalPosterior, monkeypatch: pytest.MonkeyPatch
 ) -> None:
