@@ -64,7 +64,7 @@ def test_linear_problems_have_the_bounded_least_squares_solution(weighted: bool)
     assert on_bound > 0, "some of the optima lie on a bound"
 
 
-def test_curved_problems_reach_what_scipy_reaches() -> None:
+def test_curved_problems_reach_what_scipy_reaches_alone_and_in_a_stack() -> None:
     found = fit_constants(curved, everywhere, NUMBERS, STARTS, MEASURED, LOWER, UPPER)
     for i in range(len(SLOPES)):
         number = NUMBERS[i : i + 1]
@@ -79,9 +79,11 @@ def test_curved_problems_reach_what_scipy_reaches() -> None:
             for start in STARTS
         )
         assert found.values[i] <= best * (1.0 + 1e-7)
+        alone = fit_constants(curved, everywhere, number, STARTS, MEASURED, LOWER, UPPER)
+        assert_allclose(alone.constants[0], found.constants[i], rtol=1e-9, atol=1e-12)
 
 
-def test_steps_stay_where_the_constraints_hold() -> None:
+def test_steps_stay_where_the_constraints_hold_and_a_start_outside_is_refused() -> None:
     def below(x: np.ndarray) -> np.ndarray:
         return np.asarray(x[:, 0] + x[:, 1] < 0.35)
 
@@ -95,22 +97,9 @@ def test_steps_stay_where_the_constraints_hold() -> None:
     assert all(below(x).all() for x in asked)
     assert all(np.all((x >= LOWER) & (x <= UPPER)) for x in asked)
     assert found.evaluations == sum(len(x) for x in asked)
-
-
-def test_a_stack_gives_what_its_problems_give_alone() -> None:
-    whole = fit_constants(curved, everywhere, NUMBERS, STARTS, MEASURED, LOWER, UPPER)
-    for i in range(len(SLOPES)):
-        alone = fit_constants(curved, everywhere, NUMBERS[i : i + 1], STARTS, MEASURED, LOWER, UPPER)
-        assert_allclose(alone.constants[0], whole.constants[i], rtol=1e-9, atol=1e-12)
-
-
-@pytest.mark.parametrize("start", [[0.0, 0.0, 0.7], [0.35, 0.3, 0.1]])
-def test_a_start_outside_is_refused(start: list[float]) -> None:
-    def below(x: np.ndarray) -> np.ndarray:
-        return np.asarray(x[:, 0] + x[:, 1] < 0.6)
-
-    with pytest.raises(ValueError, match="starts of the constants"):
-        fit_constants(linear, below, NUMBERS, np.array([start]), MEASURED, LOWER, UPPER)
+    for outside in ([0.0, 0.0, 0.7], [0.35, 0.3, 0.1]):
+        with pytest.raises(ValueError, match="starts of the constants"):
+            fit_constants(linear, below, NUMBERS, np.array([outside]), MEASURED, LOWER, UPPER)
 
 
 GRID = angle_grid(45.0)  # -45 0 45 90
@@ -161,12 +150,6 @@ def test_enumeration_finds_the_plates_own_sequence_and_its_images(
     assert np.all(enumerated[~same] > 10 * COARSE)
 
 
-def test_fitted_constants_are_the_true_ones(fit: AngleSearchProblem, specimen: Specimen) -> None:
-    found = best_constants(fit, TRUTH[None], search_starts(fit, 3))
-    # F is settled to 1e-9 of itself
-    assert_allclose(found.constants[0], reference_vector(specimen, specimen.unknowns), rtol=1e-4)
-
-
 def test_swarms_reach_the_minimum_that_enumeration_finds(
     fit: AngleSearchProblem, enumerated: np.ndarray
 ) -> None:
@@ -203,12 +186,16 @@ def test_relative_residuals_weigh_modes_by_their_frequency(fit: AngleSearchProbl
     assert found.values[0] <= relative.values(constants, rows)[0]
 
 
-def test_the_start_of_a_fit_meets_the_constraints(fit: AngleSearchProblem, specimen: Specimen) -> None:
-    starts = search_starts(fit, 5)
+def test_starts_meet_the_constraints_and_fitted_constants_are_the_true_ones(
+    fit: AngleSearchProblem, specimen: Specimen
+) -> None:
+    starts, truth = search_starts(fit, 5), reference_vector(specimen, specimen.unknowns)
     assert starts.shape == (5, 4)
     assert fit.admissible(starts).all()
-    assert_array_equal(starts[0], reference_vector(specimen, specimen.unknowns))
+    assert_array_equal(starts[0], truth)
     assert_array_equal(starts, search_starts(fit, 5))
+    # F is settled to 1e-9 of itself
+    assert_allclose(best_constants(fit, TRUTH[None], starts[:3]).constants[0], truth, rtol=1e-4)
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 import cpam_bayes as cb
-from cpam_bayes.questions.identify import COMMAND, JointResult
+from cpam_bayes.questions.identify import COMMAND
 from tests.batches.plates import written
 
 Table = dict[str, Any]
@@ -33,23 +33,21 @@ def plate(name: str, specimen: str, edges: str = "FFFF", stretch: float = 1.0) -
     return table
 
 
-@pytest.fixture(scope="module")
-def tests() -> JointResult:
-    return cb.identify(plate("free", "P"), plate("clamped", "P", "CFFF"), seed=0)
-
-
-def test_two_tests_of_a_plate_give_its_constants_with_smaller_intervals(tests: JointResult) -> None:
+def test_two_tests_of_a_plate_give_its_constants_with_smaller_intervals_and_two_plates_smaller_ones() -> None:
+    tests = cb.identify(plate("free", "P"), plate("clamped", "P", "CFFF"), seed=0)
     free = cb.identify(plate("free", "P"), seed=0, residuals="whitened").constants
     for name, truth in (("E1", 69e9), ("nu12", 0.33)):
         assert tests.constants[name].value == pytest.approx(truth, abs=0.3 * tests.constants[name].sd)
         assert tests.constants[name].sd < 1.02 * free[name].sd  # sampling knows a sd to 2 %
     assert tests.constants["nu12"].sd < 0.95 * free["nu12"].sd
-
-
-def test_a_common_thickness_is_not_averaged_over_tests_but_over_plates(tests: JointResult) -> None:
     # E1 is as exact as the thickness: a second test repeats its error, a second plate has its own
     sisters = cb.identify(plate("free", "P"), plate("clamped", "Q", "CFFF"), seed=0, scatter=1e-4)
     assert sisters.constants["E1"].sd < 0.85 * tests.constants["E1"].sd
+    document = tests.to_dict()
+    assert (document["tests"], document["specimens"]) == (2, 1)
+    assert [p["plate"] for p in document["plates"]] == ["free", "clamped"]
+    assert len(document["frequencies"]) == 12
+    assert set(document["constants"]) == {"E1_GPa", "nu12"}
 
 
 def test_a_list_that_contradicts_the_other_is_named_and_widened() -> None:
@@ -98,14 +96,6 @@ def test_a_list_of_unknown_noise_that_no_plate_of_its_file_has_is_named() -> Non
     assert said.startswith("The plate model does not describe the frequencies of clamped: its best fit is")
 
 
-def test_the_document_has_the_constants_once_and_each_list(tests: JointResult) -> None:
-    document = tests.to_dict()
-    assert (document["tests"], document["specimens"]) == (2, 1)
-    assert [p["plate"] for p in document["plates"]] == ["free", "clamped"]
-    assert len(document["frequencies"]) == 12
-    assert set(document["constants"]) == {"E1_GPa", "nu12"}
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -114,12 +104,9 @@ def test_the_document_has_the_constants_once_and_each_list(tests: JointResult) -
         ({"name": "free"}, "one list counts once"),
     ],
 )
-def test_plates_that_share_no_constants_are_refused(change: Table, said: str) -> None:
+def test_plates_that_share_no_constants_and_several_for_emcee_are_refused(change: Table, said: str) -> None:
     first = plate("free", "P")
     with pytest.raises(ValueError, match=said):
         cb.identify(first, copy.deepcopy(first) | {"name": "other"} | change)
-
-
-def test_emcee_takes_one_plate() -> None:
     with pytest.raises(ValueError, match="received 2 plates, accepted: one"):
         COMMAND.verb("A1", "A2", backend="emcee")

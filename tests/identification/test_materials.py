@@ -16,12 +16,16 @@ from tests.plate_file import described
 TRUTH = {"carbon.E1": 128.0, "carbon.E2": 8.6, "glass.E1": 43.0}
 
 
-@pytest.fixture(scope="module")
-def measured() -> dict[str, Any]:
-    plate = hybrid()
+def set_truth(plate: dict[str, Any]) -> None:
     for name, value in TRUTH.items():
         material, constant = name.split(".")
         plate["material"][material] = {**plate["material"][material], f"{constant}_GPa": value}
+
+
+@pytest.fixture(scope="module")
+def measured() -> dict[str, Any]:
+    plate = hybrid()
+    set_truth(plate)
     # finite elements, so that the inverse problem is not solved by the model that made the list
     f = cb.forward(plate, n_modes=10, solver="fem").frequencies
     return {
@@ -68,26 +72,18 @@ def test_the_posterior_covers_the_constants_of_both_materials(
     # another layup of the same plies, from the stored draws
     other = hybrid(layup="[c0/g90/c90]_s", thickness_mm=1.75)
     predicted = cb.predict(tmp_path / "posterior.nc", other, n_modes=4)
-    for name, value in TRUTH.items():
-        material, constant = name.split(".")
-        other["material"][material] = {**other["material"][material], f"{constant}_GPa": value}
+    set_truth(other)
     truth = cb.forward(other, n_modes=4).frequencies
     for mode, f in zip(predicted.modes, truth, strict=True):
         assert abs(mode.mean - f) < 4.0 * mode.sd + 2e-4 * f
 
 
 @pytest.mark.slow
-def test_unknown_angles_of_a_hybrid_are_found(measured: dict[str, Any]) -> None:
+def test_unknown_angles_and_the_sequence_of_a_hybrid_are_found(measured: dict[str, Any]) -> None:
     plate = {**measured, "plate": {**measured["plate"], "layup": "[c0_2/g?/g?/c90]_s"}}
     plate["unknowns"] = {**plate["unknowns"], "angle_grid_deg": 45.0}
     angles = cb.identify(plate, seed=0).angles
     assert tuple(np.abs(angles.angles_deg)) == (45.0, 45.0)
-
-
-@pytest.mark.slow
-def test_the_sequence_of_a_hybrid_is_found(measured: dict[str, Any]) -> None:
-    plate = {**measured, "plate": {**measured["plate"], "layup": "[c0_2/g?/g?/c90]_s"}}
-    plate["unknowns"] = {**plate["unknowns"], "angle_grid_deg": 45.0}
     found = cb.sequence(plate, seed=0)
     assert tuple(np.abs(found.answer.top[0])) == (45.0, 45.0)
     assert found.answer.probability[0] * found.answer.multiplicity[0] > 0.99

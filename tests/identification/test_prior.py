@@ -38,7 +38,7 @@ def sampled() -> SampledResult:
     return cb.sample(PANEL, seed=0)
 
 
-def test_identify_sample_and_diagnose_answer_alike_on_the_panel_of_the_readme(
+def test_identify_sample_and_diagnose_answer_alike_and_right_on_the_panel_of_the_readme(
     point: PointResult, sampled: SampledResult
 ) -> None:
     """Means and sds of n draws are known to 1 / sqrt(n) and 1 / sqrt(2 n) sd; apart, three of two answers.
@@ -55,12 +55,9 @@ def test_identify_sample_and_diagnose_answer_alike_on_the_panel_of_the_readme(
         values, spreads = np.array(answers).T
         assert np.ptp(values) < 3.0 * error * spreads.min(), name
         assert np.ptp(spreads) < 3.0 * error / 2.0**0.5 * spreads.min(), name
-
-
-def test_the_truth_of_the_panel_lies_in_every_interval(point: PointResult, sampled: SampledResult) -> None:
-    for answer in (point.constants, sampled.constants, {c.name: c for c in point.estimate.alone}):
+    for constants in (point.constants, sampled.constants, {c.name: c for c in point.estimate.alone}):
         for name, true in TRUTH.items():
-            low, high = answer[name].interval or (np.nan, np.nan)
+            low, high = constants[name].interval or (np.nan, np.nan)
             assert low < true < high
 
 
@@ -75,38 +72,30 @@ def test_the_frequencies_alone_leave_open_what_the_data_sheet_decides(point: Poi
     assert point.to_dict()["frequencies_alone"]["nu12"]["sd"] == pytest.approx(alone.sd)
 
 
-def test_a_stated_reference_is_normal_within_its_bounds() -> None:
-    e1, nu12 = (p.prior for p in constant_parameters(plate(PLATE + SD)).parameters)
-    assert e1 == TruncatedNormal(69e9, 2e9, *bounds("E1"))
-    assert isinstance(nu12, TruncatedLogNormal)
-    cut = constant_parameters(plate(PLATE + SD), 4.0)["E1"].prior
-    assert (cut.lower, cut.upper) == (61e9, 77e9)
-
-
 def bounds(name: str) -> tuple[float, float]:
     prior = plate().unknowns[name].prior
     return prior.lower, prior.upper
 
 
-def test_a_reference_without_a_standard_deviation_is_known_to_a_quarter_and_orthotropic_to_four_tenths() -> (
-    None
-):
-    assert ASSUMED_SD["isotropic"] == ASSUMED_SD["transversely_isotropic"] == 0.25
-    assert ASSUMED_SD["orthotropic"] == 0.4
+def test_a_reference_is_normal_as_stated_or_known_to_a_quarter_and_orthotropic_to_four_tenths() -> None:
+    e1, nu12 = (p.prior for p in constant_parameters(plate(PLATE + SD)).parameters)
+    assert e1 == TruncatedNormal(69e9, 2e9, *bounds("E1"))
+    assert isinstance(nu12, TruncatedLogNormal)
+    cut = constant_parameters(plate(PLATE + SD), 4.0)["E1"].prior
+    assert (cut.lower, cut.upper) == (61e9, 77e9)
+    assert ASSUMED_SD == {"isotropic": 0.25, "transversely_isotropic": 0.25, "orthotropic": 0.4}
     specimen = with_references(plate())
     assert specimen.unknowns["E1"].prior == TruncatedLogNormal(69e9, 0.25, *bounds("E1"))
     assert assumed_spreads(specimen) == {"E1": 0.25, "nu12": 0.25}
-    assert references_said(specimen) == ("the data sheet (25 % assumed)",)
-    some = with_references(plate(PLATE + SD))
-    assert references_said(some) == ("the data sheet (25 % assumed for nu12)",)
-    every = with_references(plate(f"{PLATE}{SD}nu12 = 0.01\n"))
-    assert references_said(every) == ("the data sheet",)
-
-
-def test_the_prior_is_made_once() -> None:
-    for text in (PLATE, PLATE + SD):
+    said = {
+        PLATE: "the data sheet (25 % assumed)",
+        PLATE + SD: "the data sheet (25 % assumed for nu12)",
+        f"{PLATE}{SD}nu12 = 0.01\n": "the data sheet",
+    }
+    for text, source in said.items():
         once = with_references(plate(text))
-        assert with_references(once).unknowns == once.unknowns
+        assert references_said(once) == (source,)
+        assert with_references(once).unknowns == once.unknowns, "a prior is made once"
 
 
 @pytest.mark.parametrize(
@@ -123,19 +112,14 @@ def test_bounds_alone_count_where_nothing_is_known_of_a_reference(changed: str) 
     assert references_said(with_references(specimen)) == ()
 
 
-def test_a_normal_prior_of_unknowns_stays() -> None:
+def test_a_normal_prior_of_unknowns_stays_and_bounds_that_leave_nothing_of_a_reference_are_refused() -> None:
     low, high = bounds("E1")
     normal = f"{{ mean = 70.0, sd = 1.0, bounds = [{low / 1e9}, {high / 1e9}] }}"
     text = PLATE.replace(f"E1_GPa = [{low / 1e9}, {high / 1e9}]", f"E1_GPa = {normal}") + SD
     assert constant_parameters(plate(text))["E1"].prior == TruncatedNormal(70e9, 1e9, low, high)
-
-
-def test_bounds_that_leave_nothing_of_a_stated_reference_are_refused() -> None:
-    specimen = plate(PLATE.replace("E1_GPa = 69.0", "E1_GPa = 900.0") + SD)
-    with pytest.raises(
-        ValueError, match=r"unknowns\.E1: its bounds leave nothing within 4 standard deviations"
-    ):
-        constant_parameters(specimen)
+    outside = plate(PLATE.replace("E1_GPa = 69.0", "E1_GPa = 900.0") + SD)
+    with pytest.raises(ValueError, match=r"unknowns\.E1: its bounds leave nothing within 4 standard deviat"):
+        constant_parameters(outside)
 
 
 def test_a_prior_that_counts_is_called_by_where_it_is_from() -> None:
