@@ -86,6 +86,15 @@ def test_a_mass_is_found_where_it_is_up_to_mirror_images(free: tuple[LoadedPlate
     # a cross-ply plate that is free all round looks alike from its four corners
     assert len(found.images) == 3
     assert found.distance(1e-3 * x, 1e-3 * y) < 0.5 * found.radius < 0.01
+    # a repeatability that is not stated is inferred
+    d = shifts_of_model("FFFF", 0.04 * MASS, x, y)
+    found = answer(free, d + np.sqrt(2) * NOISE * np.random.default_rng(3).standard_normal(N), noise=None)
+    assert found.finding is Finding.ADDED
+    assert NOISE / 3 < found.noise < 3 * NOISE
+    # a mass beyond the largest is no mass that was found
+    d = shifts_of_model("FFFF", 0.22 * MASS, x, y)
+    for noise in (NOISE, None):
+        assert answer(free, d, noise=noise).finding is Finding.OTHER
     clamped = loaded("CFFF")
     assert len(symmetries(clamped, cells_of(clamped))) == 2, "a clamp takes one mirror image away"
 
@@ -130,13 +139,6 @@ def test_no_mass_is_claimed_of_repeats(free: tuple[LoadedPlate, Cells]) -> None:
 
 
 @pytest.mark.slow
-def test_a_mass_beyond_the_largest_is_no_mass_that_was_found(free: tuple[LoadedPlate, Cells]) -> None:
-    d = shifts_of_model("FFFF", 0.22 * MASS, 60.0, 35.0)
-    for noise in (NOISE, None):
-        assert answer(free, d, noise=noise).finding is Finding.OTHER
-
-
-@pytest.mark.slow
 def test_lists_tell_each_other_the_repeatability_that_no_file_states(free: tuple[LoadedPlate, Cells]) -> None:
     d = shifts_of_model("FFFF", 0.03 * MASS, 60.0, 35.0)
     rng = np.random.default_rng(4)
@@ -150,14 +152,6 @@ def test_lists_tell_each_other_the_repeatability_that_no_file_states(free: tuple
     assert abs(np.log(together[0].noise / NOISE)) < 2.0 / np.sqrt(2 * 25)
     assert together[0].interval[0] < 0.03 * MASS < together[0].interval[1]
     assert all(one.finding is Finding.NOTHING for one in together[1:])
-
-
-@pytest.mark.slow
-def test_a_repeatability_that_is_not_stated_is_inferred(free: tuple[LoadedPlate, Cells]) -> None:
-    d = shifts_of_model("FFFF", 0.04 * MASS, 60.0, 35.0)
-    found = answer(free, d + np.sqrt(2) * NOISE * np.random.default_rng(3).standard_normal(N), noise=None)
-    assert found.finding is Finding.ADDED
-    assert NOISE / 3 < found.noise < 3 * NOISE
 
 
 @pytest.mark.slow

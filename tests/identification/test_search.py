@@ -11,9 +11,8 @@ from cpam_bayes.forward_model.model import converged_model
 from cpam_bayes.identification import search as searching
 from cpam_bayes.identification.search import Optimum, search
 from cpam_bayes.inference.ensemble import EnsembleSettings
-from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.reader import builtin
-from cpam_bayes.questions.identify.emcee import SampledResult, sample
+from cpam_bayes.questions.identify.emcee import sample
 from tests.identification.test_sizes import NOISE, known
 
 # F, Hz^2, and E1, GPa, of the best optimum of B1, and of the one where a single swarm of seed 1 ends.
@@ -36,6 +35,8 @@ def test_the_single_swarm_is_the_first_of_several_and_is_not_polished() -> None:
     several = search(builtin("A1"), 3, swarms=12)
     np.testing.assert_array_equal(several.swarm.personal_bests, one.swarm.personal_bests)
     assert several.optima[0].value <= one.swarm.value
+    with pytest.raises(ValueError, match="swarms: received 0, accepted: 1 or more"):
+        cb.identify("A1", swarms=0)
 
 
 def test_an_optimum_has_no_slope_where_no_bound_holds_it() -> None:
@@ -84,11 +85,6 @@ def test_constants_that_differ_between_optima_are_not_determined() -> None:
     assert "optima" in result.figures()
 
 
-def test_less_than_one_swarm_is_refused() -> None:
-    with pytest.raises(ValueError, match="swarms: received 0, accepted: 1 or more"):
-        cb.identify("A1", swarms=0)
-
-
 @pytest.mark.slow
 def test_constants_of_a_model_that_misfits_the_stated_noise_are_not_determined() -> None:
     """C1's printed frequencies leave 1.3 % whatever the constants are."""
@@ -120,40 +116,22 @@ def test_a_plate_model_is_converged_anew_where_that_helps_and_no_centre_was_give
 SETTINGS = EnsembleSettings(walkers=24, round_steps=500, effective=500.0)
 
 
-@pytest.fixture(scope="module")
-def known_plate() -> Specimen:
-    return known("A1", {})
-
-
-@pytest.fixture(scope="module")
-def sampled(known_plate: Specimen) -> SampledResult:
-    return sample(known_plate, seed=0, settings=SETTINGS)
-
-
-def test_true_constants_lie_well_inside_their_intervals(sampled: SampledResult) -> None:
+def test_of_exact_data_the_posterior_is_that_of_the_jacobian_about_the_truth_and_predicts_them() -> None:
+    plate = known("A1", {})
+    sampled = sample(plate, seed=0, settings=SETTINGS)
     assert sampled.result.status == "converged"
-    for constant in sampled.constants.values():
+    constants = sampled.constants.values()
+    for constant in constants:
         # data without noise: the posterior is centred on the truth but for its skewness
         assert abs(constant.value - constant.reference) < 0.5 * constant.sd
         assert constant.interval[0] < constant.reference < constant.interval[1]
         assert constant.verdict is Verdict.DATA
-
-
-def test_spread_is_what_the_jacobian_and_the_noise_give(
-    known_plate: Specimen, sampled: SampledResult
-) -> None:
-    model = converged_model(known_plate, known_plate.unknowns, 6)
-    x = np.array([[c.reference for c in sampled.constants.values()]])
-    prediction = model.predict(x, jacobian=True)
+    truth = np.array([[c.reference for c in constants]])
+    prediction = converged_model(plate, plate.unknowns, 6).predict(truth, jacobian=True)
     weighted = prediction.jacobian[0] / (NOISE * prediction.frequencies[0])[:, None]
     expected = np.sqrt(np.diag(np.linalg.inv(weighted.T @ weighted)))
     # 500 effective samples give an sd to 3 %; the model is linear over these spreads to about 2 %
-    np.testing.assert_allclose([c.sd for c in sampled.constants.values()], expected, rtol=0.12)
-
-
-def test_predictive_p_value_of_noise_free_data_is_that_of_two_chi_squares(
-    sampled: SampledResult,
-) -> None:
+    np.testing.assert_allclose([c.sd for c in constants], expected, rtol=0.12)
     # at a draw the data are chi2_2 away (two constants), a replicate list chi2_6 (six frequencies):
     # P(chi2_6 > chi2_2) = 1 - E[exp(-G)] = 1 - (1/2)^3 with G = chi2_6 / 2 a Gamma(3) variable;
     # 1000 draws of which at least 500 are effective give it to 0.015
@@ -161,7 +139,8 @@ def test_predictive_p_value_of_noise_free_data_is_that_of_two_chi_squares(
 
 
 @pytest.mark.slow
-def test_a_wrong_model_has_a_low_predictive_p_value(known_plate: Specimen) -> None:
+def test_a_wrong_model_has_a_low_predictive_p_value() -> None:
+    known_plate = known("A1", {})
     f = known_plate.measurement.frequencies * np.array([1.0, 1.02, 0.98, 1.02, 0.98, 1.02])
     wrong = replace(known_plate, measurement=replace(known_plate.measurement, frequencies=np.sort(f)))
     found = sample(wrong, seed=0, settings=SETTINGS)

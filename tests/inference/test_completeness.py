@@ -1,6 +1,7 @@
-"""Lists that seem to lack a mode, and profile likelihoods."""
+"""Pairings of lists, against enumeration; lists that seem to lack a mode; profile likelihoods."""
 
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -18,11 +19,75 @@ from cpam_bayes.inference.completeness import (
     transcription_error,
 )
 from cpam_bayes.inference.laplace import find_optima
+from cpam_bayes.inference.pairing import (
+    PairingPrior,
+    labelled_log_likelihood,
+    most_probable_labelled_pairing,
+    pair_probabilities,
+)
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
 from cpam_bayes.parameters import TruncatedNormal, Uniform
 from cpam_bayes.plate import Measurement, Specimen, read_specimen
 from tests.linear_model import MEAN_HZ, SLOPE_HZ, LinearModel, exact_gaussian, measurement
 from tests.toy_models import parameters
+
+
+def every_pairing(
+    log_density: np.ndarray, in_range: np.ndarray, span: float, prior: PairingPrior
+) -> list[tuple[float, np.ndarray]]:
+    """Log likelihood and mode numbers of every pairing that keeps the order, one by one."""
+    n, k = log_density.shape
+    found = []
+    for size in range(min(n, k) + 1):
+        for rows in combinations(range(n), size):
+            for columns in combinations(range(k), size):
+                value = sum(
+                    np.log1p(-prior.missed) + log_density[i, j] for i, j in zip(rows, columns, strict=True)
+                )
+                value += np.log(prior.missed) * sum(in_range[j] and j not in columns for j in range(k))
+                value += np.sum(np.delete(prior.log_false(n, span), rows))
+                mode = np.full(n, -1)
+                mode[list(rows)] = columns
+                found.append((value, mode))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("seed", "share"), [(seed, share) for share, n in ((0.0, 40), (0.5, 20)) for seed in range(n)]
+)
+def test_sum_and_maximum_over_pairings_equal_those_of_an_enumeration(seed: int, share: float) -> None:
+    """Frequencies with labels, a share of all, keep their modes; the list is the second of a stack."""
+    rng = np.random.default_rng(seed)
+    n, k = rng.integers(1, 5), rng.integers(4, 7) if share else rng.integers(1, 6)
+    labelled = rng.uniform(size=n) < share
+    known = np.where(labelled, np.arange(n), -1)
+    stack = 4.0 * rng.normal(size=(2, n, k)) - 3.0
+    stack_in_range = rng.uniform(size=(2, k)) < 0.7
+    log_density, in_range = stack[1], stack_in_range[1]
+    false = rng.uniform(0.01, 1.0) if seed % 2 else tuple(rng.uniform(0.01, 30.0, n).tolist())
+    prior = PairingPrior(rng.uniform(0.01, 0.5), false)
+    own = np.flatnonzero(labelled)
+    rows, columns = np.setdiff1d(np.arange(n), own), np.setdiff1d(np.arange(k), own)
+    fixed = sum(np.log1p(-prior.missed) + log_density[i, i] for i in own)
+    others = every_pairing(log_density[np.ix_(rows, columns)], in_range[columns], 7.0, prior.among(rows))
+    values = np.array([value + fixed for value, _ in others])
+    total = np.logaddexp.reduce(values)
+    modes = np.tile(np.arange(n), (len(others), 1))
+    modes[:, rows] = [np.where(mode >= 0, columns[mode], -1) for _, mode in others]
+    found = labelled_log_likelihood(stack, stack_in_range, 7.0, known, prior)
+    assert found[1] == pytest.approx(total, abs=1e-10)
+    best = most_probable_labelled_pairing(log_density, in_range, 7.0, known, prior)
+    np.testing.assert_array_equal(best.mode, modes[values.argmax()])
+    assert best.log_probability == pytest.approx(values.max() - total, abs=1e-10)
+    assert set(best.missed) == set(columns[in_range[columns]]) - set(best.mode)
+    if not share:
+        of_pair = np.zeros((n, k))
+        for mode, probability in zip(modes, np.exp(values - total), strict=True):
+            paired = np.flatnonzero(mode >= 0)
+            of_pair[paired, mode[paired]] += probability
+        each = pair_probabilities(stack, stack_in_range, 7.0, prior)[1]
+        np.testing.assert_allclose(each, of_pair, atol=1e-12)
+
 
 LINEAR = LinearModel().predict(np.array([[0.4, -0.3]])).frequencies[0]
 
@@ -44,15 +109,12 @@ def test_a_mode_that_is_not_in_the_list_is_named(missing: int) -> None:
     np.testing.assert_allclose(found.x, [0.4, -0.3], atol=1e-3)
 
 
-@pytest.mark.parametrize("extra", [150.0, 250.0])
-def test_a_frequency_that_is_no_mode_is_named(extra: float) -> None:
-    listed = np.sort(np.append(LINEAR[:3], extra))
-    found = doubt_of_linear(listed)
-    assert found.missed is None
-    assert listed[found.spurious] == extra
-
-
-def test_a_complete_list_is_in_no_doubt_and_labelled_frequencies_are_not_in_question() -> None:
+def test_a_frequency_that_is_no_mode_is_named_and_no_other_nor_labelled_ones_are_in_question() -> None:
+    for extra in (150.0, 250.0):
+        listed = np.sort(np.append(LINEAR[:3], extra))
+        found = doubt_of_linear(listed)
+        assert found.missed is None
+        assert listed[found.spurious] == extra
     assert doubt_of_linear(LINEAR[:3]) is None
     assert doubt_of_linear(LINEAR) is None
     assert doubt_of_linear(np.delete(LINEAR, 1), ("(1,1)", "(2,0)", "(0,2)")) is None
@@ -95,7 +157,7 @@ def noisy(own: Case, rng: np.random.Generator) -> np.ndarray:
 
 @pytest.mark.parametrize("relative_std", [0.005, None])
 @pytest.mark.parametrize("missing", [0, 2, 4])
-def test_the_mode_that_a_plate_list_lacks_is_named_by_its_label(
+def test_the_mode_that_a_plate_list_lacks_is_named_by_its_label_and_a_false_peak_too(
     aluminium: Case, missing: int, relative_std: float | None
 ) -> None:
     f = noisy(aluminium, np.random.default_rng(missing))
@@ -104,13 +166,8 @@ def test_the_mode_that_a_plate_list_lacks_is_named_by_its_label(
     assert found.missed.label == modes[missing].label
     # noise of 0.5 % in six frequencies leaves the missed one to about that
     assert found.missed.frequency == pytest.approx(modes[missing].frequency, rel=0.03)
-
-
-@pytest.mark.parametrize("relative_std", [0.005, None])
-def test_a_false_peak_in_a_plate_list_is_named(aluminium: Case, relative_std: float | None) -> None:
-    f = noisy(aluminium, np.random.default_rng(0))
-    found = examined(aluminium, np.append(f[:6], 400.0), relative_std)
-    assert found.spurious == 400.0
+    if not missing:
+        assert examined(aluminium, np.append(f[:6], 400.0), relative_std).spurious == 400.0
 
 
 def false_warnings(own: Case, n: int) -> int:
@@ -167,7 +224,7 @@ def test_profiles_of_a_linear_model_are_parabolas(model: LinearModel, names: tup
         assert (found.lower_open, found.upper_open) == (False, False)
 
 
-def test_where_bounds_hold_the_other_parameter_the_profile_is_that_of_a_search() -> None:
+def test_where_bounds_hold_the_profile_is_that_of_a_search_and_its_interval_open() -> None:
     # at 30 % noise the bounds of b at -2 and 2 are reached from both ends of a
     posterior = plate_posterior(LinearModel(), measurement(0.3), np.zeros(4))
     (found,) = profiles(posterior, ("a",))
@@ -177,6 +234,12 @@ def test_where_bounds_hold_the_other_parameter_the_profile_is_that_of_a_search()
     # the grids of the search miss a maximum by at most 1e-4 nats
     np.testing.assert_allclose(found.drop, at_best - np.array(best), atol=2e-4)
     assert np.all(found.drop >= 0.0)
+    # an interval that reaches a bound is open there
+    (found,) = profiles(plate_posterior(LinearModel(), measurement(3.0), np.zeros(4)), ("b",))
+    assert found.lower_open
+    assert found.upper_open
+    assert (found.lower, found.upper) == (-2.0, 2.0)
+    assert np.all(found.drop < DROP_95)
 
 
 def test_inferred_noise_is_maximised_over_with_its_prior() -> None:
@@ -193,14 +256,6 @@ def test_inferred_noise_is_maximised_over_with_its_prior() -> None:
         height.append(float((posterior.log_prob(x) + np.log(s)).max()))
     # an optimisation ends when steps promise less than 1e-7 nats
     np.testing.assert_allclose(found.drop, height[-1] - np.array(height[:-1]), atol=2e-6)
-
-
-def test_an_interval_that_reaches_a_bound_is_open_there() -> None:
-    (found,) = profiles(plate_posterior(LinearModel(), measurement(3.0), np.zeros(4)), ("b",))
-    assert found.lower_open
-    assert found.upper_open
-    assert (found.lower, found.upper) == (-2.0, 2.0)
-    assert np.all(found.drop < DROP_95)
 
 
 def test_a_region_in_two_parts_is_spanned_and_counted() -> None:

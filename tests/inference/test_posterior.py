@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -108,7 +109,7 @@ class Broken(LinearModel):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("complete", [True, False])
-def test_a_frequency_that_is_no_number_is_an_error_with_its_parameters(value: float, complete: bool) -> None:
+def test_what_is_no_number_is_an_error_with_its_parameters(value: float, complete: bool) -> None:
     data = measurement(relative_std=None)
     data = Measurement(data.frequencies, 0.0, None, None, data.labels, complete)
     posterior = plate_posterior(Broken(value=value), data, np.zeros(4))
@@ -118,12 +119,9 @@ def test_a_frequency_that_is_no_number_is_an_error_with_its_parameters(value: fl
     ) as caught:
         posterior.log_prob(np.array([[0.5, 0.5, 0.01], [0.5, 1.5, 0.01]]))
     assert isinstance(caught.value, ValueError)
-
-
-def test_a_log_probability_that_is_no_number_is_an_error_with_its_parameters() -> None:
-    posterior = plate_posterior(LinearModel(), measurement(relative_std=0.01), np.full(4, np.nan))
+    unsure = plate_posterior(LinearModel(), measurement(relative_std=0.01), np.full(4, np.nan))
     with pytest.raises(SolverError, match=r"log probability is not a number at a = 0\.5, b = 0\.25"):
-        posterior.log_prob(np.array([0.5, 0.25]))
+        unsure.log_prob(np.array([0.5, 0.25]))
 
 
 @pytest.mark.parametrize("name", ["A1", "D1"])
@@ -160,21 +158,25 @@ def least_eigenvalue_of_the_ply(specimen: Specimen, values: Mapping[str, np.ndar
 
 
 NONE = np.zeros(4)
+ABSOLUTE = {"likelihood": "absolute"}
 
 
-@pytest.mark.parametrize("key", ["relative_std", "frequency_sd_hz"])
-def test_a_repeatability_of_the_file_and_the_absolute_likelihood_exclude_each_other(key: str) -> None:
-    data = measurement(0.01)
-    if key == "frequency_sd_hz":
-        data = replace(data, frequency_sd=np.ones(4))
-    with pytest.raises(ValueError, match=f"measurement.{key}.*leave {key} out"):
-        noise_model(data, NONE, "absolute")
-
-
-@pytest.mark.parametrize("nu", [2.0, 0.0, -1.0, np.nan])
-def test_noise_without_a_variance_is_refused(nu: float) -> None:
-    with pytest.raises(ValueError, match="degrees of freedom of the noise"):
-        noise_model(measurement(0.01), NONE, degrees_of_freedom=nu)
+@pytest.mark.parametrize(
+    ("data", "settings", "said"),
+    [
+        (measurement(0.01), ABSOLUTE, "measurement.relative_std.*leave relative_std out"),
+        (KINDS["one by one"][0], ABSOLUTE, "measurement.frequency_sd_hz.*leave frequency_sd_hz out"),
+        *(
+            (measurement(0.01), {"degrees_of_freedom": nu}, "degrees of freedom of the noise")
+            for nu in (2.0, 0.0, -1.0, np.nan)
+        ),
+    ],
+)
+def test_noise_that_is_stated_twice_or_has_no_variance_is_refused(
+    data: Measurement, settings: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(ValueError, match=said):
+        noise_model(data, NONE, **settings)
 
 
 @pytest.mark.parametrize(("nu", "edge"), [(np.inf, norm.ppf(0.9)), (4.0, t.ppf(0.9, 4))])
