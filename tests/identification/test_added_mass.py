@@ -139,6 +139,7 @@ def test_no_mass_is_claimed_of_repeats(free: tuple[LoadedPlate, Cells]) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_lists_tell_each_other_the_repeatability_that_no_file_states(free: tuple[LoadedPlate, Cells]) -> None:
     d = shifts_of_model("FFFF", 0.03 * MASS, 60.0, 35.0)
     rng = np.random.default_rng(4)

@@ -57,6 +57,7 @@ def test_the_swarm_finds_the_constants_of_both_materials(measured: dict[str, Any
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_the_posterior_covers_the_constants_of_both_materials(
     measured: dict[str, Any], tmp_path: Any
 ) -> None:

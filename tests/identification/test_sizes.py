@@ -112,6 +112,7 @@ def test_the_start_has_the_sizes_after_the_constants_and_every_start_is_possible
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_sampled_moduli_of_c1_widen_as_to_first_order() -> None:
     specimen = known("C1", {"thickness": 0.01})
     bounds_alone = replace(specimen, material=replace(specimen.material, known=False))
