@@ -78,7 +78,7 @@ def test_shifts_in_the_modes_are_those_of_a_model_that_holds_the_mass(edges: str
 
 
 @pytest.mark.slow
-def test_a_mass_is_found_where_it_is_up_to_mirror_images(free: tuple[LoadedPlate, Cells]) -> None:
+def test_a_mass_up_to_the_largest_is_found_where_it_is(free: tuple[LoadedPlate, Cells]) -> None:
     mass, x, y = 0.03 * MASS, 60.0, 35.0
     found = answer(free, shifts_of_model("FFFF", mass, x, y))
     assert found.finding is Finding.ADDED

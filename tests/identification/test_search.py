@@ -140,8 +140,8 @@ def test_of_exact_data_the_posterior_is_that_of_the_jacobian_about_the_truth_and
 
 @pytest.mark.slow
 def test_a_wrong_model_has_a_low_predictive_p_value() -> None:
-    known_plate = known("A1", {})
-    f = known_plate.measurement.frequencies * np.array([1.0, 1.02, 0.98, 1.02, 0.98, 1.02])
-    wrong = replace(known_plate, measurement=replace(known_plate.measurement, frequencies=np.sort(f)))
+    plate = known("A1", {})
+    f = plate.measurement.frequencies * np.array([1.0, 1.02, 0.98, 1.02, 0.98, 1.02])
+    wrong = replace(plate, measurement=replace(plate.measurement, frequencies=np.sort(f)))
     found = sample(wrong, seed=0, settings=SETTINGS)
     assert found.p_value < 0.01

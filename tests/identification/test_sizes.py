@@ -288,6 +288,12 @@ def test_identify_sample_sequence_and_diagnose_print_the_same_constants(panel: S
             assert constant["sd"] == pytest.approx(sd, rel=0.12), (verb, name)
 
 
+def test_the_intervals_are_those_of_exact_sizes_where_the_file_says_so(panel: Specimen) -> None:
+    open_, exact = cb.identify(panel), cb.identify(panel.with_exact_sizes())
+    assert exact.estimate.constants[0].sd < 0.3 * open_.estimate.constants[0].sd
+    assert "The intervals contain noise and the data sheet." in exact.summary()
+
+
 def tolerant_panel(panel: Specimen, n: int) -> tuple[TolerantModel, np.ndarray]:
     """Its model of n modes with the numbers that are left open, and the values of all parameters."""
     constants = {name: float(reference_constants(panel)[name]) for name in panel.unknowns.names}

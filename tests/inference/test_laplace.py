@@ -160,6 +160,20 @@ def test_curvature_of_a_prior_is_its_own() -> None:
     np.testing.assert_allclose(added[0], np.diag([1.0 / sd**2, 0.0]), rtol=1e-6, atol=1e-6)
 
 
+def test_exact_hessian_is_the_second_difference_of_the_log_density() -> None:
+    own = some_posterior("student noise")
+    axes = coordinates(own)
+    u = axes.to_u(np.array([0.4, -0.3, 0.01]))
+    found = hessian_u(own, axes, u, np.array([0.05, 0.05, 0.4]))
+    h, unit = 1e-3, np.eye(3)
+    for i in range(3):
+        for j in range(3):
+            corners = np.stack([u + h * (a * unit[i] + b * unit[j]) for a in (1, -1) for b in (1, -1)])
+            second = log_density(own, axes, corners) @ np.array([1, -1, -1, 1]) / (4 * h**2)
+            # third derivatives, over a step of a thousandth
+            assert -found[i, j] == pytest.approx(second, rel=2e-3, abs=0.05)
+
+
 EVERY_PRIOR: dict[str, Prior] = {
     "uniform": Uniform(2.0, 5.0),
     "normal": TruncatedNormal(3.0, 0.5, 2.0, 5.0),
