@@ -55,7 +55,7 @@ def test_density_is_the_weighted_sum_of_parts_by_an_independent_program(nu: floa
     x = np.random.default_rng(0).normal(size=(30, 3), scale=3.0)
     parts = [multivariate_t(c, s, df=nu).pdf(x) for c, s in zip(centres, scales, strict=True)]
     found = log_mixture(Mixture(share, np.stack(centres), np.linalg.cholesky(scales), nu), x)
-    np.testing.assert_allclose(np.exp(found), share @ parts, rtol=1e-10)
+    np.testing.assert_allclose(found, np.log(share @ parts), rtol=1e-12)
 
 
 def test_a_fit_finds_the_parts_of_weighted_draws() -> None:
@@ -154,7 +154,7 @@ def test_evidences_of_a_stack_are_found_within_their_errors_and_refitting_makes_
         np.testing.assert_allclose(weight.sum(axis=1), 1.0, rtol=1e-12)
         np.testing.assert_allclose(found.effective_size, 1.0 / np.sum(weight**2, axis=1), rtol=1e-9)
         np.testing.assert_allclose(found.standard_error, weight.std(axis=1) * 2**5.5, rtol=1e-9)
-        np.testing.assert_allclose(found.k_hat, [pareto_shape(w) for w in np.log(weight)], rtol=1e-6)
+        np.testing.assert_allclose(found.k_hat, [pareto_shape(w) for w in np.log(weight)], rtol=1e-9)
     assert np.all(thrice.effective_size[1:] > 1.2 * once.effective_size[1:])
 
 
