@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from _pytest.mark.structures import ParameterSet
 
 from tests.shared import once_a_run
 
@@ -56,8 +55,8 @@ LONG = {
 }
 
 
-def weekly_if_long(names: Iterable[str]) -> list[ParameterSet]:
-    """Studies, the long ones marked."""
+def weekly_if_long(names: Iterable[str]) -> list[object]:
+    """Studies as parameters of a test, the long ones left to the weekly run."""
     return [pytest.param(name, marks=[pytest.mark.weekly] if name in LONG else []) for name in names]
 
 

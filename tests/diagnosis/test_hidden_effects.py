@@ -174,11 +174,7 @@ def _diagnosed(
 def _marked(cases: tuple[Case, ...]) -> list[object]:
     """As parameters of a test."""
     return [
-        pytest.param(
-            case,
-            id=case.cause if case.complete else f"{case.cause}, incomplete",
-            marks=case.marks,
-        )
+        pytest.param(case, id=case.cause if case.complete else f"{case.cause}, incomplete", marks=case.marks)
         for case in cases
     ]
 
@@ -260,8 +256,6 @@ def test_a_cause_that_the_catalogue_lacks_is_not_replaced_by_a_wrong_one() -> No
 
 WEIGHED = PLATE.replace("density_kg_m3 = 2700.0", "mass_g = 680.4")
 KNOWN = WEIGHED.replace("nu12 = 0.33\n", "nu12 = 0.33\n\n[material.sd]\nE1_GPa = 0.69\nnu12 = 0.0033\n", 1)
-
-
 GAUGED = "[plate.sd]\nthickness_mm = 0.003\n\n[material]\n"
 SISTERS = WEIGHED.replace("[material]\n", f'{GAUGED}name = "aluminium"\n', 1)
 
@@ -322,8 +316,6 @@ UNKNOWNS = {
 NOISE = 0.001
 # One draw of the noise, in its own unit.
 DRAWN = np.array([0.4, -1.1, 0.2, 0.9, -0.5, 0.1, -0.3, 1.2, -0.7, 0.6])
-
-
 CAUSES = (SENSOR_MASS, THICKNESS, MISORIENTATION, SHEAR_RATIO)
 
 
