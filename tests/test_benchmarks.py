@@ -101,6 +101,7 @@ def test_a_small_run_of_samplers_has_the_documented_keys() -> None:
     assert samplers.ASSEMBLING in cells(samplers.tables(results))
 
 
+@pytest.mark.slow
 def test_a_small_run_of_waits_compares_two_trees() -> None:
     results = waits.run(quick=True, before=waits.ROOT)
     assert list(results) == list(waits.KEYS)

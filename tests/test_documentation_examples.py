@@ -153,7 +153,10 @@ def test_three_notebooks_are_saved_with_results_figures_and_no_errors() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "path",
-    [pytest.param(p, marks=[pytest.mark.weekly] if "hidden" in p.stem else [], id=p.stem) for p in NOTEBOOKS],
+    [
+        pytest.param(p, marks=[pytest.mark.weekly] if "posterior" not in p.stem else [], id=p.stem)
+        for p in NOTEBOOKS
+    ],
 )
 def test_a_notebook_runs_and_shows_what_it_is_saved_with(path: Path) -> None:
     saved, executed = (

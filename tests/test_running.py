@@ -124,6 +124,7 @@ def test_emcee_ends_after_a_round_and_goes_on_from_the_store(tmp_path: Any) -> N
     assert list(tmp_path.glob("*"))
 
 
+@pytest.mark.slow
 def test_nothing_is_claimed_of_a_part_of_the_causes_and_others_are_named(run: Run, tmp_path: Path) -> None:
     plate = tmp_path / "plate.toml"
     plate.write_text(PLATE + MEASURED, "utf-8")

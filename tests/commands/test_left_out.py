@@ -35,6 +35,7 @@ def without_sensor(frequencies: np.ndarray) -> dict[str, object]:
     return {**PLATE, "measurement": {"frequencies_hz": listed, "resolution_hz": 0.1}}
 
 
+@pytest.mark.slow
 def test_identify_asks_for_it_and_does_not_miss_the_truth(loaded: np.ndarray) -> None:
     found = cb.identify(without_sensor(loaded), seed=0)
     assert "cpam-bayes diagnose" in found.report().summary.next_step

@@ -162,6 +162,7 @@ def test_sensor_mass_is_a_known_mass_of_that_size_and_turns_with_its_radius_abou
     np.testing.assert_allclose(turning[-5:], [m, m, m, inertia, inertia], rtol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["A2", "D3"])
 def test_swapped_sides_are_the_plate_with_its_sides_exchanged(name: str) -> None:
     models, own = plate_models(builtin(name), 6), builtin(name).plate

@@ -172,6 +172,7 @@ def test_what_errs_in_common_has_a_name_where_parameters_are_shown() -> None:
     assert all(to_user(name, 1.0) > 0.0 for name in common)
 
 
+@pytest.mark.slow
 def test_constants_of_a_plate_in_three_dimensions_are_not_biased() -> None:
     # bricks of a quasi-isotropic plate of 7.2 mm, whose free edges lower frequencies by 0.1 to 0.9 %
     (case,) = (c for c in saved_cases() if c["case"] == "carbon, quasi-isotropic, FFFF, h/b = 1/25")

@@ -66,6 +66,7 @@ def shifts_of_model(edges: str, mass: float, x: float, y: float) -> np.ndarray:
     return np.asarray(np.log(with_mass / cb.forward(plate_of(edges), N).frequencies))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("edges", ["FFFF", "CFFF"])
 @pytest.mark.parametrize("fraction", [0.01, 0.08])
 def test_shifts_in_the_modes_are_those_of_a_model_that_holds_the_mass(edges: str, fraction: float) -> None:

@@ -150,6 +150,7 @@ def test_enumeration_finds_the_plates_own_sequence_and_its_images(
     assert np.all(enumerated[~same] > 10 * COARSE)
 
 
+@pytest.mark.slow
 def test_swarms_reach_the_minimum_that_enumeration_finds(
     fit: AngleSearchProblem, enumerated: np.ndarray
 ) -> None:
@@ -225,6 +226,7 @@ def test_what_cannot_be_searched_is_refused() -> None:
         search_angles(replace(specimen, measurement=None), 0)
 
 
+@pytest.mark.slow
 def test_several_fuzzy_swarms_find_the_least_f_twice_where_single_ones_miss_it(
     fit: AngleSearchProblem, specimen: Specimen, enumerated: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -33,6 +33,7 @@ def plate(name: str, specimen: str, edges: str = "FFFF", stretch: float = 1.0) -
     return table
 
 
+@pytest.mark.slow
 def test_two_tests_of_a_plate_give_its_constants_with_smaller_intervals_and_two_plates_smaller_ones() -> None:
     tests = cb.identify(plate("free", "P"), plate("clamped", "P", "CFFF"), seed=0)
     free = cb.identify(plate("free", "P"), seed=0, residuals="whitened").constants
@@ -50,11 +51,13 @@ def test_two_tests_of_a_plate_give_its_constants_with_smaller_intervals_and_two_
     assert set(document["constants"]) == {"E1_GPa", "nu12"}
 
 
+@pytest.mark.slow
 def test_a_list_that_contradicts_the_other_is_named_and_widened() -> None:
     joint = cb.identify(plate("free", "P"), plate("clamped", "P", "CFFF", stretch=1.04), seed=0)
     assert "list_over_noise" in [notice.code for notice in joint.notices]
 
 
+@pytest.mark.slow
 def test_the_slip_of_one_list_is_named_with_its_corrected_file(tmp_path: Path) -> None:
     wrong = plate("clamped", "P", "CFFF")
     wrong["plate"]["edges"] = "FFFF"

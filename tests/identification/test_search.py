@@ -19,6 +19,7 @@ from tests.identification.test_sizes import NOISE, known
 BEST_B1, WRONG_B1 = 13.062, 883.1
 
 
+@pytest.mark.slow
 def test_a_single_swarm_may_agree_on_a_wrong_optimum_and_several_do_not() -> None:
     one = cb.identify("B1", seed=1, swarms=1, residuals="absolute")
     assert one.status == "converged"
@@ -116,6 +117,7 @@ def test_a_plate_model_is_converged_anew_where_that_helps_and_no_centre_was_give
 SETTINGS = EnsembleSettings(walkers=24, round_steps=500, effective=500.0)
 
 
+@pytest.mark.slow
 def test_of_exact_data_the_posterior_is_that_of_the_jacobian_about_the_truth_and_predicts_them() -> None:
     plate = known("A1", {})
     sampled = sample(plate, seed=0, settings=SETTINGS)

@@ -235,6 +235,7 @@ def identified(plate: str, thickness: float | None, **stated: float) -> PointRes
     return cb.identify(parse_specimen(text, "x"), seed=1)
 
 
+@pytest.mark.slow
 def test_one_modulus_is_known_as_well_as_noise_and_thickness_let_it_be() -> None:
     found = identified(ONE, 0.0, relative_std=NOISE, frequency_scale_sd=0.0).constants["E1"]
     thick = identified(ONE, 0.03, relative_std=NOISE, frequency_scale_sd=0.0).constants["E1"]
@@ -288,6 +289,7 @@ def test_identify_sample_sequence_and_diagnose_print_the_same_constants(panel: S
             assert constant["sd"] == pytest.approx(sd, rel=0.12), (verb, name)
 
 
+@pytest.mark.slow
 def test_the_intervals_are_those_of_exact_sizes_where_the_file_says_so(panel: Specimen) -> None:
     open_, exact = cb.identify(panel), cb.identify(panel.with_exact_sizes())
     assert exact.estimate.constants[0].sd < 0.3 * open_.estimate.constants[0].sd

@@ -28,6 +28,7 @@ def test_a_stiffer_plate_is_larger_by_its_ratio() -> None:
     }
 
 
+@pytest.mark.slow
 def test_a_plate_does_not_differ_from_itself_and_the_order_turns_the_sign() -> None:
     rng = np.random.default_rng(4)
     a, b = with_noise(plate("a"), rng), with_noise(plate("b", 72.0), rng)

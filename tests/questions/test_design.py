@@ -158,6 +158,7 @@ def test_specimens_have_one_area_and_their_mass_follows_the_volume() -> None:
     assert texts == {"[0_8]", "[(0/90)_2]_s", "[(45/-45)_2]_s", "[0/45/-45/90]_s"}
 
 
+@pytest.mark.slow
 def test_any_number_of_workers_gives_the_same_answer() -> None:
     only = {"ratios": [1.0, 1.5], "edges": ["CFFF"], "modes": [4, 6]}
     here, there = cb.design("A1", **only), cb.design("A1", **only, executor="processes", workers=2)

@@ -524,6 +524,7 @@ def test_plates_that_are_not_several_of_one_material_are_refused(run, plates, sa
     refused(run("diagnose", *plates), said)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_causes")
 def test_json_is_one_document_progress_goes_to_standard_error_and_files_to_the_directory(
     run, plate_file, tmp_path

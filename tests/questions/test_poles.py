@@ -386,6 +386,7 @@ def test_a_folder_of_hits_is_one_table_with_the_scatter_of_its_hits(tmp_path: Pa
     assert 0.4 < np.sqrt(np.mean(sd**2)) / (0.002 / np.sqrt(6.0) * 2.571 / 1.96) < 1.7
 
 
+@pytest.mark.slow
 def test_no_standard_deviation_is_below_a_thirtieth_of_a_line_of_one_hit(tmp_path: Path) -> None:
     faults = Faults(drift=0.0, noise=1e-4)
     one = of_hits(tmp_path, recorded(1, 1, faults))

@@ -144,6 +144,7 @@ def test_a_seal_that_fits_no_list_is_refused_before_the_work_and_not_given_away(
     assert not {"7.25", "999", "5,1"} & set(str(refusal.value).split())
 
 
+@pytest.mark.slow
 def test_lists_that_cannot_be_compared_are_refused(lists: tuple[Path, str, str, str], tmp_path: Path) -> None:
     _, plate, coin, _ = lists
     seal = tmp_path / "seal.toml"

@@ -17,6 +17,7 @@ from tests.stacking.cases import TRUE, answer, mixture, specimen
 MAX_BYTES = 5_000_000
 
 
+@pytest.mark.slow
 def test_a_quick_report_is_one_page_with_the_files_of_its_parts(run, plate_file, few_causes, tmp_path):
     out = tmp_path / "out"
     status, shown, _ = run("report", plate_file(), "--quick", "--json", "--quiet", "--out", out)
@@ -53,6 +54,7 @@ def test_the_answer_is_the_diagnosis_and_the_frequencies_alone_are_folded():
     assert len(set(result.warnings)) == len(result.warnings)
 
 
+@pytest.mark.slow
 def test_the_answer_of_all_frequencies_stands_beside_that_of_those_that_were_used(plate_file, few_causes):
     plate = cb.read_plate(plate_file())
     used = plate.measurement.without({plate.measurement.size - 1})

@@ -305,6 +305,7 @@ def test_a_plate_without_a_measurement_gets_the_answer_of_the_contract(run, plat
             assert own["posterior_sd"] == pytest.approx(own["linearised_posterior_sd"], rel=0.25)
 
 
+@pytest.mark.slow
 def test_the_command_says_what_noise_was_added_to_and_gives_the_same_for_the_same_seed(
     run, plate_file, short
 ):

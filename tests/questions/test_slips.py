@@ -53,6 +53,7 @@ def changed(place: int, factor: float) -> dict[str, Any]:
     return stated(listed(11) * np.where(np.arange(11) == place, factor, 1.0))
 
 
+@pytest.mark.slow
 def test_sides_exchanged_are_named_and_written_anew(tmp_path: Path) -> None:
     path = written(tmp_path / "p.toml", stated(listed(), length_mm=228.0, width_mm=310.0))
     text = path.read_text(encoding="utf-8").replace("length_mm = 228.0\n", "length_mm = 228.0   # x\n")
@@ -91,6 +92,7 @@ def test_a_slip_is_named(file: Any, expected: tuple[str, int]) -> None:
     assert found(file()) == [expected]
 
 
+@pytest.mark.slow
 def test_slips_are_weighed_once_where_a_list_is_reached_by_none_but_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -186,6 +188,7 @@ def test_what_can_be_edited_is_corrected_in_the_file(
     assert corrected_file(specimen, Slip(kind, 2, 0.0, specimen, edits)) == corrected
 
 
+@pytest.mark.slow
 def test_a_turned_layup_keeps_the_names_of_its_plies() -> None:
     plies = [{"name": "thick", "thickness_mm": 1.0}, {"name": "thin", "thickness_mm": 0.55}]
     true = {**PLATE, "ply": plies, "plate": {**PLATE["plate"], "edges": "CFFF", "layup": "[thick0/thin45]_s"}}

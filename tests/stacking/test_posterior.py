@@ -70,6 +70,7 @@ def test_probabilities_add_up_and_marginals_are_those_of_the_sequences(answer: S
             assert own - 1e-9 <= found <= own + left + 1e-9
 
 
+@pytest.mark.slow
 def test_what_is_given_up_is_out_of_sight(specimen: Specimen, answer: StackingPosterior) -> None:
     listed = answer.classes_of(every := all_sequences(len(answer.grid_deg), 2)) >= 0
     assert 0.1 < listed.mean() < 0.9

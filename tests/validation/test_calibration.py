@@ -200,6 +200,7 @@ def fast(seed: int = 3) -> Experiment:
     return replace(linear(None, seed), settings=FASTEST, swarm=SwarmSettings(particles=6, iterations=5))
 
 
+@pytest.mark.slow
 def test_repetitions_are_the_same_bit_for_bit_whoever_computes_them(tmp_path: Path) -> None:
     alone = calibrate(fast(), 7)
     assert [r.number for r in alone] == list(range(7))

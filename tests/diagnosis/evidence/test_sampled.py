@@ -71,7 +71,7 @@ def plate() -> PlateCase:
 @pytest.mark.parametrize(
     ("form", "damage", "least"),
     [
-        ("bell", (0.6, 0.55, 0.7, 0.13), 100.0),
+        pytest.param("bell", (0.6, 0.55, 0.7, 0.13), 100.0, marks=pytest.mark.slow),
         pytest.param("rectangle", (0.45, 0.89, 0.76, 0.07), 5.0, marks=pytest.mark.slow),
         pytest.param(
             "rectangle", (0.45, 0.93, 0.98, 0.18), 5.0, marks=[pytest.mark.slow, pytest.mark.weekly]

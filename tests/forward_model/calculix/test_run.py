@@ -32,7 +32,7 @@ SLOW = pytest.mark.slow
         ("brick", "A2", {"edges": "SSSS"}, 6, 5e-4),
         ("brick", "A2", {"edges": "CFFF"}, 6, 6e-4),
         ("brick", "C2", {"layup": parse_layup("[0/90]")}, 6, 5e-4),
-        pytest.param("brick", "C1", {}, 6, 4e-4, marks=SLOW),
+        pytest.param("brick", "C1", {}, 6, 4e-4, marks=[SLOW, pytest.mark.weekly]),
         pytest.param("brick", "D2", {}, 10, 1.5e-3, marks=[SLOW, pytest.mark.weekly]),
         pytest.param("brick", "D3", {}, 10, 1.7e-3, marks=[SLOW, pytest.mark.weekly]),
         *(("shell", name, {}, 6, 1.5e-3) for name in ("C1", "C4", "A2")),
