@@ -150,6 +150,11 @@ def test_a_misread_frequency_is_named_with_its_size_its_check_and_what_it_depend
     assert TITLES["warp"] in warning
 
 
+def fit_line(d):
+    """What the first screen says of the fit."""
+    return next(line for line in diagnosis_result(d, 3).summary().splitlines() if "Fit" in line).strip()
+
+
 def test_constants_are_those_of_all_hypotheses_and_determined_where_noise_explains_the_misfit(clean, misread):
     # 69 GPa made the list; the plain model is pulled off by the misread frequency
     found = document(misread)
@@ -175,6 +180,15 @@ def test_constants_are_those_of_all_hypotheses_and_determined_where_noise_explai
     wrong = diagnosed([listed(aluminium_case(), bent)], [], gain=False)
     assert (wrong.claim.kind, wrong.plain_explained, wrong.explained) == ("other", False, False)
     assert {c.verdict for c in answer_constants(wrong)} == {Verdict.MISFIT}
+    assert "stated repeatability" in fit_line(wrong)
+    # where no noise is stated, what nothing explains is no estimate of it
+    case = listed(aluminium_case(), 0.07 * np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0]) + 1.0)
+    unstated = replace(case, measurement=replace(case.measurement, relative_std=None))
+    open_ = diagnosed([unstated], [], gain=False)
+    assert open_.claim.kind == "other"
+    said = re.fullmatch(r"Fit ([\d.]+) %; ([\d.]+) % remains unexplained.", fit_line(open_))
+    assert said
+    assert 5.0 < float(said[2]) < float(said[1]) < 7.5
     # the prior that an interval depends on is named
     relied = replace(clean, reliances=(Reliance("E1", "nu12", 0.42), Reliance("nu12", "E1", 0.11)))
     first, second = answer_constants(relied)

@@ -193,10 +193,10 @@ def _fit_sentence(d: Diagnosis) -> str:
         fit = (
             f"{allowing.get(d.claim.kind, 'Allowing for it')}, the misfit falls from {before} % to {after} %"
         )
-        probability, size = d.leftover
-        left = f"; {significant(100.0 * size, 2)} % remains unexplained" if probability >= 0.5 else ""
-        return f"{fit}{left}."
+        return f"{fit}{_unexplained(d)}."
     noise = inferred_noise(d.weighed.plain)
+    if d.claim.kind == OTHER and noise is not None:
+        return f"Fit {before} %{_unexplained(d)}."
     noisiest = max((case.measurement for case in d.cases), key=lambda m: m.relative_noise or 0.0)
     return fit_sentence(
         d.baseline.rms,
@@ -205,6 +205,12 @@ def _fit_sentence(d: Diagnosis) -> str:
         inferred=None if noise is None else noise[0],
         explained=d.plain_explained,
     )
+
+
+def _unexplained(d: Diagnosis) -> str:
+    """What neither noise nor the claim explains of the misfit, if anything."""
+    probability, size = d.leftover
+    return f"; {significant(100.0 * size, 2)} % remains unexplained" if probability >= 0.5 else ""
 
 
 def stated_levels(d: Diagnosis) -> list[tuple[float, str]]:
