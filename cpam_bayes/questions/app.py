@@ -31,7 +31,7 @@ from cpam_bayes.inference.laplace import find_optima, gauss_newton_covariance
 from cpam_bayes.plate import Specimen, builtin_names, parse_specimen, to_user
 from cpam_bayes.plate.reader import builtin_text
 from cpam_bayes.questions.batch import batch
-from cpam_bayes.questions.diagnose import claim_sentence, diagnose
+from cpam_bayes.questions.diagnose import diagnose
 from cpam_bayes.questions.diagnose.document import (
     DiagnosisResult,
     answer_constants,
@@ -281,7 +281,7 @@ def diagnosed(text: str, name: str, folder: str, *, tell: Tell) -> Any:
     first = next((c for c in d.causes if c.name not in (NONE, OTHER)), None)
     place = place_of(first, specimen.plate) if first is not None and first.name in d.claim.causes else None
     return {
-        "claim": claim_sentence(d),
+        "claim": summary.headline,
         "kind": d.claim.kind,
         "slips": list(summary.slips),
         "lines": list(summary.lines),

@@ -40,6 +40,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_modes,
     require_seed,
     require_supported,
+    stated_slips,
     units_notices,
 )
 from cpam_bayes.forward_model.three_dimensions import sandwich_notices
@@ -218,6 +219,7 @@ def forward(
     return ForwardResult(
         seed=seed,
         notices=(
+            *stated_slips(specimen),
             *_slips(specimen, solution),
             *(() if measurement is None else label_notices(measurement, solution.modes)),
             *(() if measurement is None else shape_notices(pairing, measurement)),

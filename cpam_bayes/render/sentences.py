@@ -45,6 +45,8 @@ _TITLES_OF: Final[Mapping[MaterialSymmetry, Mapping[str, str]]] = {
 _GOOD = 0.003
 # Misfit over the stated repeatability that is as good as it.
 _AS_GOOD = 1.1
+# Standard deviations of a reference from which on it does not decide a value.
+_FAR_SD: Final = 2.0
 # Least visible fraction of an error of size that the frequencies are said to show.
 _VISIBLE = 0.3
 # Least relative error of a constant, for 1 % of a size, that is worth a word, %.
@@ -81,7 +83,10 @@ def determined_text(c: Constant) -> str:
     if c.verdict is Verdict.MISFIT:
         return "not determined: the model does not fit"
     if c.verdict is Verdict.PRIOR:
-        return "not determined: the data sheet decides" if c.has_reference_prior else "not determined"
+        if not c.has_reference_prior:
+            return "not determined"
+        is_far = abs(c.value - c.reference) > _FAR_SD * c.prior.sd
+        return f"not determined: {'far from the data sheet' if is_far else 'the data sheet decides'}"
     if c.verdict is Verdict.BOTH:
         return f"partly: {_prior_counts(c)}"
     return f"determined, given the range of {listed(c.rests_on, 'and')}" if c.rests_on else "determined"
@@ -451,10 +456,15 @@ def correction_step(written: Iterable[str], of: Sequence[str] = ()) -> str:
     return f"correct the plate file{whose}{f', as in {files} in the directory of --out' if files else ''}."
 
 
+def contradicts_itself(notices: Sequence[Notice]) -> bool:
+    """Whether one of the notices says that what the file states of the plate cannot be."""
+    return any(notice.code == "thicknesses_apart" for notice in notices)
+
+
 def mismatch_step(
     specimen: Specimen, notices: Sequence[Notice], found: Sequence[str | None] = ()
 ) -> tuple[str, ...]:
-    """The first check where the frequency list contradicts the plate.
+    """The first check where the plate file contradicts itself, or the frequency list the plate.
 
     notices : of the answer. found : label of the mode that each frequency was paired with, None for no mode.
     """
@@ -464,6 +474,8 @@ def mismatch_step(
         for given, label in zip(labels, found, strict=False)
         if given and (label is None or same_label(given) != same_label(label))
     ]
+    if contradicts_itself(notices):
+        return ("gauge and weigh the plate again: its thickness, mass and density contradict one another.",)
     if not (contradicts_list(notices) or other):
         return ()
     edges = f"the edges ({edges_text(specimen.plate.edges)})"

@@ -67,6 +67,9 @@ def test_the_frequencies_alone_leave_open_what_the_data_sheet_decides(point: Poi
     assert alone.sd > 2.0 * found.sd
     assert isinstance(alone.prior, Uniform)
     assert determined_text(found) == "not determined: the data sheet decides"
+    for distance, said in ((1.9, "the data sheet decides"), (2.1, "far from the data sheet")):
+        moved = replace(found, value=found.reference - distance * found.prior.sd)
+        assert determined_text(moved) == f"not determined: {said}"
     assert "the data sheet." in point.summary()
     assert "from the frequencies alone" in point.summary(verbose=True)
     assert point.to_dict()["frequencies_alone"]["nu12"]["sd"] == pytest.approx(alone.sd)

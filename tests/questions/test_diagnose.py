@@ -15,8 +15,8 @@ from cpam_bayes.diagnosis.diagnose import diagnosis_notices
 from cpam_bayes.diagnosis.hypotheses import Claim
 from cpam_bayes.diagnosis.next_test import Candidate
 from cpam_bayes.effects import CATALOGUE, ListChange
-from cpam_bayes.questions.diagnose import claim_sentence, diagnosis_result
-from cpam_bayes.questions.diagnose.claim import checked_effects
+from cpam_bayes.questions.diagnose import diagnosis_result
+from cpam_bayes.questions.diagnose.claim import checked_effects, claim_sentence
 from cpam_bayes.questions.diagnose.document import (
     absorbed_biases,
     answer_constants,
@@ -148,6 +148,16 @@ def test_a_misread_frequency_is_named_with_its_size_its_check_and_what_it_depend
     (warning,) = summary(replace(misread, sensitivity=other)).warnings
     assert TITLES["outlier"] in warning
     assert TITLES["warp"] in warning
+
+
+def test_a_file_that_contradicts_itself_is_not_told_that_nothing_is_wrong(clean):
+    facts = {"gauged": (3.1e-3, 2e-5), "by_mass": (2.5e-3, 2.5e-5), "apart": 19.6, "taken": (2.85e-3, 3.1e-4)}
+    contradicted = replace(diagnosis_result(clean, 3), notices=(Notice("thicknesses_apart", "slip", facts),))
+    said = contradicted.report().summary
+    assert said.headline.startswith("From the frequencies alone: no evidence of an error")
+    assert said.next_step.startswith("gauge and weigh the plate again")
+    assert contradicted.to_dict()["sentence"] == said.headline
+    assert diagnosis_result(clean, 3).report().summary.headline == claim_sentence(clean)
 
 
 def fit_line(d):

@@ -99,3 +99,11 @@ def test_a_strip_is_held_on_the_nodal_lines_of_its_first_mode_and_hit_where_all_
     assert held.pads == ()
     assert held.hits[0][0] > 270
     assert "pads" not in held.sentence
+
+
+def test_thickness_mass_and_density_that_disagree_are_warned_of() -> None:
+    plate = described((300.0, 200.0, 3.0), 2700.0, {"isotropic": True, "E1_GPa": 70.0, "nu12": 0.33})
+    assert not forward(plate, 1).notices
+    plate["plate"]["mass_g"] = 437.0  # of 486
+    (said,) = forward(plate, 1).notices
+    assert (said.code, said.severity) == ("thicknesses_apart", "slip")

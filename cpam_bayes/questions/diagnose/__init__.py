@@ -44,7 +44,7 @@ from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, unit_of, 
 from cpam_bayes.questions.diagnose.claim import (
     beyond_theory,
     checked_effects,
-    claim_sentence,
+    headline,
     next_steps,
     sensitivity_sentence,
     shown_constants,
@@ -89,7 +89,7 @@ from cpam_bayes.render.spectrum import peak_sections
 from cpam_bayes.result import present, within_time
 from cpam_bayes.running import SILENT, Watch, cut_short, is_time_up
 
-__all__ = ["COMMAND", "DiagnosisResult", "claim_sentence", "diagnose", "diagnosis_result"]
+__all__ = ["COMMAND", "DiagnosisResult", "diagnose", "diagnosis_result"]
 
 DEFAULT_SCATTER: Final = 0.02
 MAX_SCATTER: Final = 0.5
@@ -261,7 +261,7 @@ def _present(result: DiagnosisResult) -> Report:
     return Report(
         summary=summary(result),
         sections=_sections(result),
-        document=document(result, claim_sentence(result.diagnosis)),
+        document=document(result, headline(result)),
         drawings=drawings(result),
         rows=tables(result),
     )

@@ -37,6 +37,7 @@ from cpam_bayes.render.report import (
 from cpam_bayes.render.sentences import (
     attached_step,
     constants_table,
+    contradicts_itself,
     fit_sentence,
     gauge_step,
     intervals_sentence,
@@ -61,7 +62,7 @@ def summary(result: DiagnosisResult) -> Summary:
     d = result.diagnosis
     return Summary(
         title=f"diagnose {result.title}",
-        headline=claim_sentence(d),
+        headline=headline(result),
         tables=(constants_table(answer_constants(d)),),
         lines=(
             _fit_sentence(d),
@@ -78,6 +79,14 @@ def summary(result: DiagnosisResult) -> Summary:
             *result.cautions,
         ),
     )
+
+
+def headline(result: DiagnosisResult) -> str:
+    """The claim, and that it is of the frequencies alone where the file contradicts itself."""
+    said = claim_sentence(result.diagnosis)
+    if contradicts_itself(result.notices):
+        return f"From the frequencies alone: {said[:1].lower()}{said[1:]}"
+    return said
 
 
 def claim_sentence(d: Diagnosis) -> str:
