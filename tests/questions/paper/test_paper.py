@@ -128,7 +128,7 @@ def test_it_says_at_once_how_long_the_computations_take(tmp_path: Path) -> None:
     for options, first in (
         ({"seed": 1}, "10 computations, about 7 min on one core; finished ones are kept"),
         ({"quick": True}, "10 computations, about 2 min on one core; finished ones are kept"),
-        ({"everything": True}, "posteriors over stacking sequences: about 2 h 29 min on one core"),
+        ({"everything": True}, "posteriors over stacking sequences: about 2 h 27 min on one core"),
     ):
         said: list[str] = []
         with pytest.raises(AssertionError, match="computed"):
