@@ -46,7 +46,7 @@ _GOOD = 0.003
 # Misfit over the stated repeatability that is as good as it.
 _AS_GOOD = 1.1
 # Standard deviations of a reference from which on it does not decide a value.
-_FAR_SD: Final = 2.0
+_OFF_REFERENCE_SD: Final = 2.0
 # Least visible fraction of an error of size that the frequencies are said to show.
 _VISIBLE = 0.3
 # Least relative error of a constant, for 1 % of a size, that is worth a word, %.
@@ -85,7 +85,7 @@ def determined_text(c: Constant) -> str:
     if c.verdict is Verdict.PRIOR:
         if not c.has_reference_prior:
             return "not determined"
-        is_far = abs(c.value - c.reference) > _FAR_SD * c.prior.sd
+        is_far = abs(c.value - c.reference) > _OFF_REFERENCE_SD * c.prior.sd
         return f"not determined: {'far from the data sheet' if is_far else 'the data sheet decides'}"
     if c.verdict is Verdict.BOTH:
         return f"partly: {_prior_counts(c)}"
