@@ -24,9 +24,8 @@ from benchmarks.timing import busy_processes, interleaved, ratio
 from cpam_bayes.forward_model.build import forget_models
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, integrated_times, moves_of
 from cpam_bayes.inference.posterior import Posterior
-from cpam_bayes.inference.proposal import adapted
 from cpam_bayes.inference.sampling import JUMPS as FIT
-from cpam_bayes.inference.sampling import sample_posterior
+from cpam_bayes.inference.sampling import sample_posterior, sampled_about
 from cpam_bayes.render.report import Heading, Table, remarks
 from cpam_bayes.render.terminal import screen_text
 from cpam_bayes.running import single_blas_thread
@@ -89,7 +88,7 @@ def run(quick: bool = False, rounds: int | None = None) -> Results:
     draws = found.draws
     best = draws[np.argmax(found.log_prob)]
     used = time.process_time()
-    proposal = adapted(posterior, best[None], 0, FIT)
+    proposal = sampled_about(posterior, best[None], FIT)[0]
     used = time.process_time() - used
     moves = {JUMPS: moves_of(proposal, settings.jumps), DE: moves_of(None, settings.jumps), STRETCH: None}
     entries = _entries(posterior, mesh, walkers, many)

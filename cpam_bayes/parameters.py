@@ -142,6 +142,11 @@ class ParameterSet:
         """Upper bounds, (size,), each in its unit."""
         return read_only([parameter.prior.upper for parameter in self.parameters])
 
+    @property
+    def prior_sd(self) -> NDArray[np.float64]:
+        """Standard deviations of the priors, (n,)."""
+        return np.array([p.prior.sd for p in self.parameters])
+
     def __contains__(self, name: object) -> bool:
         """Whether a parameter of this name varies."""
         return name in self.names

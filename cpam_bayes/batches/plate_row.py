@@ -23,7 +23,6 @@ from cpam_bayes.effects import CATALOGUE
 from cpam_bayes.formatting import with_spread
 from cpam_bayes.forward_model.labels import labelled_model
 from cpam_bayes.identification.point import PointEstimate
-from cpam_bayes.inference.derivatives import expand_likelihood
 from cpam_bayes.inference.posterior import plate_posterior
 from cpam_bayes.plate import Measurement, Specimen, to_user
 from cpam_bayes.storage import read_sealed, set_aside, write_sealed
@@ -238,7 +237,7 @@ def local_likelihood(estimate: PointEstimate) -> LocalLikelihood:
     error = np.hypot(estimate.model.full.error, _SOLVER_FLOOR)
     posterior = plate_posterior(model, _with_noise(estimate, measurement), error)
     at = np.array([c.value for c in estimate.constants])
-    expansion = expand_likelihood(posterior, at[None])
+    expansion = posterior.expand_likelihood(at[None])
     g, f = expansion.gradient[0], expansion.curvature[0]
     known = [e for e in estimate.scale_errors if e.sd is not None]
     if known:

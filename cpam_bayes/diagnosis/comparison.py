@@ -17,8 +17,8 @@ from cpam_bayes.forward_model.labels import ShapePairing
 from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.identification.density import deviation
-from cpam_bayes.inference.derivatives import NormalScores
-from cpam_bayes.inference.log_density import Listed, LogDensity
+from cpam_bayes.inference.log_density import CorrelatedDensity, Listed
+from cpam_bayes.inference.scores import NormalScores
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedLogNormal
@@ -75,7 +75,7 @@ class PlateCase:
 
 def comparison_of(
     cases: Sequence[PlateCase], hypotheses: Mapping[int, Hypothesis] | Hypothesis, *, scatter: float = SCATTER
-) -> LogDensity:
+) -> CorrelatedDensity:
     """The plates' frequency lists against their models under a hypothesis for each plate.
 
     Plates of one material have the same constants; of several specimens each deviates from them.
@@ -197,7 +197,7 @@ def _compared(
     joint: _Joint,
     hypothesis: Hypothesis | None,
     common: Array,
-) -> LogDensity:
+) -> CorrelatedDensity:
     frequencies = np.concatenate([one.frequencies for one in lists])
     listed = Listed(
         frequencies,
@@ -219,7 +219,7 @@ def _compared(
         parameters.append(DISCREPANCY)
     every = ParameterSet(tuple(parameters))
     scores = NormalScores(every)
-    return LogDensity(model, listed, every, scores, tuple(amplitudes), discrepancy, length)
+    return CorrelatedDensity(model, listed, every, scores, tuple(amplitudes), discrepancy, length)
 
 
 def _repeatability(names: list[str], i: int) -> Parameter:
@@ -234,7 +234,7 @@ _FORM_LENGTH = 0.8
 _NEGLIGIBLE = 0.1
 
 
-def with_form_error(comparison: LogDensity, hypothesis: Hypothesis, x: Array) -> LogDensity:
+def with_form_error(comparison: CorrelatedDensity, hypothesis: Hypothesis, x: Array) -> CorrelatedDensity:
     """The comparison with the errors of its effects' forms at parameters x (n,), itself where they are small.
 
     kappa^2 D R D in the covariance for every effect, D = diag of its shifts of the frequencies and R their
@@ -260,14 +260,14 @@ def with_form_error(comparison: LogDensity, hypothesis: Hypothesis, x: Array) ->
     return replace(comparison, listed=replace(comparison.listed, common=common))
 
 
-def smooth_columns(comparison: LogDensity, hypothesis: Hypothesis) -> tuple[int, ...]:
+def smooth_columns(comparison: CorrelatedDensity, hypothesis: Hypothesis) -> tuple[int, ...]:
     """Those of the hypothesis's columns that Laplace's method integrates well wherever they are left open."""
     each = zip(effect_columns(comparison, hypothesis), hypothesis.parameters, strict=True)
     return tuple(column for column, p in each if p.name in hypothesis.smooth)
 
 
 def effect_columns(
-    comparison: LogDensity, hypothesis: Hypothesis, of: Sequence[Parameter] | None = None
+    comparison: CorrelatedDensity, hypothesis: Hypothesis, of: Sequence[Parameter] | None = None
 ) -> tuple[int, ...]:
     """Columns of a hypothesis's parameters, or of some of them, in the joint vector, one for each."""
     joint = comparison.parameters.parameters

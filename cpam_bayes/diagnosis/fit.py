@@ -20,7 +20,7 @@ from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Claim, Hypothesis
 from cpam_bayes.effects.effect import MISREADINGS
 from cpam_bayes.forward_model.composed import ComposedModel
 from cpam_bayes.forward_model.preconditions import birge_ratio
-from cpam_bayes.inference.log_density import LogDensity, kept_of
+from cpam_bayes.inference.log_density import CorrelatedDensity, kept_of
 from cpam_bayes.inference.student_mixture import RELIABLE_K, effective_size, pareto_shape
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter
@@ -128,7 +128,7 @@ def _starts(tested: Tested) -> Array:
     return marginal.z[[i for k, i in enumerate(order) if not k or marginal.weight[i] > _NODE_FRACTION]]
 
 
-def _refitted(comparison: LogDensity, z: Array, amplitudes: Array) -> tuple[Array, Array]:
+def _refitted(comparison: CorrelatedDensity, z: Array, amplitudes: Array) -> tuple[Array, Array]:
     """T and tr H for starts (s, n) at amplitudes (a,) of the noise, (s, a) each.
 
     One step of Gauss and Newton from each start; the better one of start and step counts.
@@ -420,7 +420,7 @@ def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | Non
     return evidences
 
 
-def _reweighted(marginal: Marginal, about: LogDensity) -> Array:
+def _reweighted(marginal: Marginal, about: CorrelatedDensity) -> Array:
     """Log evidences without each of the frequencies from the draws with all, (n_f,).
 
     ln Z_-i = ln Z + ln E[1 / p(f_i | f_-i, x)] over the posterior of x (Gelfand, Dey and Chang, Bayesian

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from cpam_bayes.diagnosis.evidence.marginal import Marginal, ShiftTable
 from cpam_bayes.diagnosis.evidence.weighing import Tested
 from cpam_bayes.effects import scale_of
-from cpam_bayes.inference.log_density import LogDensity, kept_of
+from cpam_bayes.inference.log_density import CorrelatedDensity, kept_of
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.mechanics.problem import Array
 
@@ -244,7 +244,7 @@ def _fine(table: ShiftTable) -> Array:
     return np.asarray(CubicSpline(score, table.shift, axis=0)(fine))
 
 
-def _aligned(comparison: LogDensity, x: Array, none: Marginal) -> Array:
+def _aligned(comparison: CorrelatedDensity, x: Array, none: Marginal) -> Array:
     """Predictions at parameters (m, n) for every frequency of the whole list, (m, n_f).
 
     A hypothesis about the list shifts what belongs to which mode: its null is the plain pairing. A false

@@ -43,8 +43,8 @@ from cpam_bayes.identification.search import (
     shifted,
     swarm_seed,
 )
-from cpam_bayes.inference.derivatives import Expansion
-from cpam_bayes.inference.laplace import maximise
+from cpam_bayes.inference.optimise import maximise
+from cpam_bayes.inference.scores import Expansion
 from cpam_bayes.inference.swarm import (
     SwarmProblem,
     SwarmResult,

@@ -22,17 +22,11 @@ from cpam_bayes.forward_model.labels import list_order
 from cpam_bayes.forward_model.preconditions import birge_ratio
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.three_dimensions import theory_error
-from cpam_bayes.inference.derivatives import NormalScores
-from cpam_bayes.inference.log_density import Listed, LogDensity, log_residuals
+from cpam_bayes.inference.importance import Rounds, about_optima, importance
+from cpam_bayes.inference.laplace import Optima, maximised
+from cpam_bayes.inference.log_density import CorrelatedDensity, Listed, log_residuals
 from cpam_bayes.inference.posterior import NOISE, NOISE_PRIOR
-from cpam_bayes.inference.proposal import (
-    Optima,
-    Rounds,
-    about,
-    adaptive_importance,
-    maximised,
-    refitted_moments,
-)
+from cpam_bayes.inference.scores import NormalScores
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
 from cpam_bayes.plate import Measurement, Specimen
@@ -109,7 +103,7 @@ class Draws:
         return float(self.weight[x < low].sum()), float(self.weight[x > high].sum())
 
 
-def optima_about(density: LogDensity, starts: Array, noise: float) -> Optima:
+def optima_about(density: CorrelatedDensity, starts: Array, noise: float) -> Optima:
     """All optima that derivatives reach from constants (m, n), the first of the parameters.
 
     noise : where an inferred noise begins, relative
@@ -124,11 +118,10 @@ def optima_about(density: LogDensity, starts: Array, noise: float) -> Optima:
     return maximised(density, np.clip(z, -3.0, 3.0), _STEPS, _PROMISED, _MOST)
 
 
-def sampled(density: LogDensity, optima: Optima, n: int) -> Draws:
+def sampled(density: CorrelatedDensity, optima: Optima, n: int) -> Draws:
     """Draws of the first n parameters, the constants, about all optima that carry weight."""
-    _, proposal = about(optima.z, optima.factor, optima.log_mass)
-    found = adaptive_importance(
-        lambda z: density.log_density(z[0])[None], density.expand, proposal, refitted_moments, _ROUNDS
+    found, _ = importance(
+        lambda z: density.log_density(z[0])[None], about_optima(optima), _ROUNDS, density.expand
     )
     x = density.scores.to_x(found.points[0])[:, :n]
     return Draws(x, found.weight[0], float(found.effective_size[0]))
@@ -136,7 +129,7 @@ def sampled(density: LogDensity, optima: Optima, n: int) -> Draws:
 
 def lists_density(
     lists: Sequence[tuple[Specimen, ReducedModel]], at: Array, scatter_sd: float
-) -> tuple[LogDensity, Array]:
+) -> tuple[CorrelatedDensity, Array]:
     """The density of lists of one material, and the factors by which their stated noise is widened, (l,).
 
     Constants are shared; each of several specimens deviates from them. Errors of sizes and mass belong to a
@@ -191,7 +184,7 @@ def lists_density(
     )
     every = ParameterSet(tuple(parameters), unknowns.fixed)
     together = ComposedModel(composed, tuple(parts))
-    return LogDensity(
+    return CorrelatedDensity(
         together, listed, every, NormalScores(every), tuple(amplitudes), discrepancy=None
     ), excess
 

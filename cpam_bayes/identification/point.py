@@ -40,9 +40,9 @@ from cpam_bayes.identification.search import Optimum, Residual, Search, required
 from cpam_bayes.inference.assessment import cut_notices, limiting_constraints
 from cpam_bayes.inference.completeness import TranscriptionError
 from cpam_bayes.inference.ensemble import EnsembleResult
-from cpam_bayes.inference.log_density import LogDensity
+from cpam_bayes.inference.laplace import Optima
+from cpam_bayes.inference.log_density import CorrelatedDensity
 from cpam_bayes.inference.posterior import Posterior
-from cpam_bayes.inference.proposal import Optima
 from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings
 from cpam_bayes.mechanics.modes import Mode
 from cpam_bayes.mechanics.problem import THEORY_ALONE
@@ -337,7 +337,7 @@ def _about_optima(specimen: Specimen, searched: Search) -> _Sampled:
     return _Sampled(found[0][1], found[0][0], listed, by_sizes, each[0] if each else ())
 
 
-def _optima(density: LogDensity, optima: Optima, searched: Sequence[Optimum]) -> tuple[Optimum, ...]:
+def _optima(density: CorrelatedDensity, optima: Optima, searched: Sequence[Optimum]) -> tuple[Optimum, ...]:
     """Optima of a density that its best one does not exclude, 95 % of chi-squared; swarms as of the nearest.
 
     searched : optima of the misfit, which the derivatives began from

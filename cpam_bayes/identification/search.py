@@ -30,10 +30,10 @@ from cpam_bayes.forward_model.preconditions import explained_failures, require_c
 from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings
 from cpam_bayes.forward_model.three_dimensions import theory_bias
 from cpam_bayes.identification.density import residual_sd, scatter
-from cpam_bayes.inference.derivatives import Expansion
-from cpam_bayes.inference.laplace import maximise, polish
+from cpam_bayes.inference.optimise import maximise, polish
 from cpam_bayes.inference.posterior import Likelihood, Posterior, plate_posterior
 from cpam_bayes.inference.sampling import swarm_on_posterior
+from cpam_bayes.inference.scores import Expansion, distinct
 from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings, material_swarm, minimise
 from cpam_bayes.mechanics.problem import THEORY_ALONE, Bias
 from cpam_bayes.parameters import ParameterSet
@@ -382,7 +382,8 @@ def _polished(task: _Task, start: Array, value: float) -> _Ends:
     value_at = np.where(np.isfinite(ends.expansion.value), ends.expansion.value, -np.inf)
     row = int(np.argmax(value_at))
     # two modes that cross leave a kink, where steps shrink before the optimum
-    best, expansion, _ = polish(value_of, target, ends, row, -bound, bound)
+    at = ends.expansion.of(np.array([row]))
+    best, expansion, _ = polish(value_of, target, ends.u[row], at, -bound, bound)
     u, curvature = ends.u.copy(), ends.expansion.curvature.copy()
     u[row], curvature[row], value_at[row] = best, expansion.curvature[0], expansion.value[0]
     known = np.isfinite(value_at)
@@ -396,24 +397,11 @@ def _distinct(task: _Task, ends: Sequence[_Ends]) -> tuple[Optimum, ...]:
     curvature = np.concatenate([e.curvature for e in ends])
     swarm = np.repeat(np.arange(len(ends)), [len(e.value) for e in ends])
     variance = task.variance(float(value.min()))
-    order = np.argsort(value, kind="stable")
-    order = order[value[order] <= value.min() + 2.0 * _DEPTH * variance]
-    kept: list[int] = []
-    finders: list[set[int]] = []
-    for i in order:
-        away = u[kept] - u[i]
-        distance = np.einsum("ki,kij,kj->k", away, curvature[kept], away) / variance
-        # both are optima: where one lies on the way to the other it has a misfit of its own
-        same = np.flatnonzero((distance < _SAME**2) & (value[i] - value[kept] < _SAME**2 * variance))
-        if len(same):
-            finders[same[0]].add(int(swarm[i]))
-        else:
-            kept.append(int(i))
-            finders.append({int(swarm[i])})
-    return tuple(
-        Optimum(task.to_x(u[i]), float(value[i]), len(swarms))
-        for i, swarms in zip(kept, finders, strict=True)
-    )
+    height = -0.5 * value / variance
+    # both are optima: where one lies on the way to the other it has a misfit of its own
+    of = distinct(u, height, curvature / variance, _SAME, depth=_DEPTH, drop=0.5 * _SAME**2)
+    best = [int(i) for i in np.argsort(value, kind="stable") if of[i] == i]
+    return tuple(Optimum(task.to_x(u[i]), float(value[i]), len(set(swarm[of == i].tolist()))) for i in best)
 
 
 # Modes looked at beyond a list that may lack some, and beyond one that says it does not.

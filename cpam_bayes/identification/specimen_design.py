@@ -25,7 +25,6 @@ from cpam_bayes.identification.point import verdict_of
 from cpam_bayes.mechanics.convergence import Tolerance, converge
 from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
-from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.edges import ALL_FREE, CANTILEVER, is_stated
 from cpam_bayes.plate.layup import Layup, parse_layup
@@ -246,7 +245,7 @@ def response_of(specimen: Specimen, n_modes: int) -> Response:
     n = parameters.size
     precision = np.eye(n + relative.shape[1])
     precision[:n, :n] = parameters.precision
-    slopes = np.column_stack((predicted.jacobian[0] * prior_sd(parameters), f[:, None] * relative))
+    slopes = np.column_stack((predicted.jacobian[0] * parameters.prior_sd, f[:, None] * relative))
     return Response(f, slopes, converged.error[:n_modes], precision)
 
 
@@ -268,11 +267,6 @@ def _of_clamps(specimen: Specimen, x: Array, n_modes: int, settings: RitzSetting
         without, given = PlateModel(operator, n_modes, np.zeros(n_modes)).predict(samples).frequencies
         shifts.append(np.log(given / without))
     return shifts
-
-
-def prior_sd(parameters: ParameterSet) -> Array:
-    """Standard deviations of the priors, (n,)."""
-    return np.array([p.prior.sd for p in parameters.parameters])
 
 
 def expected_information(

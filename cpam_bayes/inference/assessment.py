@@ -11,7 +11,6 @@ import numpy as np
 
 from cpam_bayes.answer import Notice
 from cpam_bayes.inference.completeness import Profile, profile_likelihoods
-from cpam_bayes.inference.derivatives import prior_sd
 from cpam_bayes.inference.ensemble import EnsembleResult
 from cpam_bayes.inference.pairing import Pairing
 from cpam_bayes.inference.posterior import Posterior
@@ -55,7 +54,9 @@ def weighted_jacobian(posterior: Posterior, x: Array, pairing: Pairing) -> Array
     rows, columns = paired(pairing)
     sigma = posterior.noise(x[None], prediction.frequencies)[0, rows, columns]
     weight = np.sqrt(posterior.noise_model.information)
-    return np.asarray(weight * prediction.jacobian[0, columns] / sigma[:, None] * prior_sd(posterior)[:n])
+    return np.asarray(
+        weight * prediction.jacobian[0, columns] / sigma[:, None] * posterior.parameters.prior_sd[:n]
+    )
 
 
 def paired(pairing: Pairing) -> tuple[Array, Array]:
@@ -76,7 +77,7 @@ def combinations(posterior: Posterior, x: Array, pairing: Pairing) -> tuple[Comb
     _, singular_values, directions = np.linalg.svd(jacobian, full_matrices=True)
     singular = np.zeros(n)
     singular[: len(singular_values)] = singular_values[:n]
-    relative = x[:n] / prior_sd(posterior)[:n]
+    relative = x[:n] / posterior.parameters.prior_sd[:n]
     return tuple(_combination(v * relative, float(d)) for v, d in zip(directions, singular, strict=True))
 
 
@@ -478,5 +479,5 @@ def log_likelihoods(
     if not posterior.measurement.complete:
         return posterior.log_likelihood(x), None
     rows, columns = paired(pairing)
-    pointwise = posterior.log_density(predicted, posterior.noise(x, predicted))[:, rows, columns]
+    pointwise = posterior.of_pairs(predicted, posterior.noise(x, predicted))[:, rows, columns]
     return pointwise.sum(axis=1), pointwise

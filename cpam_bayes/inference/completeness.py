@@ -10,9 +10,10 @@ import numpy as np
 from cpam_bayes.forward_model.labels import list_order
 from cpam_bayes.forward_model.model import ForwardModel, Prediction, reference_vector
 from cpam_bayes.forward_model.reduced import ReducedModel
-from cpam_bayes.inference.derivatives import Coordinates, Expansion, coordinates, expand_u
-from cpam_bayes.inference.laplace import laplace_log_evidence, maximise
+from cpam_bayes.inference.laplace import maximised
+from cpam_bayes.inference.optimise import maximise
 from cpam_bayes.inference.posterior import Posterior
+from cpam_bayes.inference.scores import Expansion, NormalScores
 from cpam_bayes.mechanics.modes import Mode
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import ParameterSet, Uniform
@@ -181,20 +182,12 @@ def _evidence(
     if paired.noise_is_inferred:
         noise = [paired.noise_model.suggested(residuals[i]) for i in chosen]
         starts = np.column_stack((starts, noise))
-    axes = coordinates(paired)
-
-    def target(u: Array, rows: Array) -> Expansion:
-        return expand_u(paired, axes, u)
-
-    u = axes.to_u(np.clip(starts, axes.inner, axes.outer))
-    maxima = maximise(target, u, axes.lower, axes.upper, most_steps=_MAX_STEPS, promised=_FOR_ODDS)
-    inside = np.isfinite(maxima.expansion.value)
-    if not inside.any():
+    optima = maximised(paired, paired.scores.to_z(starts), _MAX_STEPS, _FOR_ODDS)
+    if not len(optima.value):
         return -np.inf, starts[0]
-    e, u = maxima.expansion, maxima.u[inside]
-    log_evidence = laplace_log_evidence(e.value[inside], e.gradient[inside], e.curvature[inside], u, axes)
-    top = int(np.argmax(log_evidence))
-    return float(log_evidence[top]) + pairing.price, axes.to_x(u[top])
+    log_mass = optima.log_mass
+    top = int(np.argmax(log_mass))
+    return float(log_mass[top]) + pairing.price, paired.scores.to_x(optima.z[top])
 
 
 def _paired(posterior: Posterior, pairing: _Pairing) -> Posterior:
@@ -258,14 +251,14 @@ def profile_likelihoods(
     """Profile log likelihood of each of ``names`` on a grid (Raue et al., 2009).
 
     pl(v) = max over the other parameters of log p(data | p) with p_k = v, within bounds and constraints.
-    Priors of ``names`` do not enter; those of the noise, over its logarithm, and of plate sizes do. All grid
-    points are optimised together, from the best draws near them and then from the ends of their neighbours.
+    Priors of ``names`` do not enter, nor even ones; those of the noise and of plate sizes do, over their
+    scores. All grid points are optimised together, from the best draws near them and then from the ends of
+    their neighbours.
 
     draws (m, n), log_prob (m,) : of the chains. The grid spans the draws, and the whole search
     interval where the prior is not uniform.
     """
     flat = _without_priors(posterior, names)
-    axes = coordinates(flat)
     few = np.unique(np.append(np.linspace(0, len(draws) - 1, _CANDIDATES).astype(int), log_prob.argmax()))
     draws = draws[few]
     height = log_prob[few] + flat.parameters.log_prior(draws) - posterior.parameters.log_prior(draws)
@@ -274,21 +267,23 @@ def profile_likelihoods(
     starts = [_starts(draws, height, k, grid) for k, grid in zip(index, grids, strict=True)]
     # the last point is free: it finds the largest likelihood of all
     held = np.append(np.repeat(index, n_grid), -1)
-    u = axes.to_u(np.vstack((*starts, draws[height.argmax()])))
+    even = np.array([p.prior.is_range for p in flat.parameters.parameters], dtype=float)
+    profiled = _Profiled(flat, even, held)
+    u = flat.scores.to_z(np.vstack((*starts, draws[height.argmax()])))
     value = np.full(len(u), -np.inf)
-    _maximise_again(flat, axes, held, np.arange(len(u)), u.copy(), u, value)
+    profiled.maximise_again(np.arange(len(u)), u.copy(), u, value)
     changed = np.ones(len(u), dtype=bool)
     for _ in range(_SWEEPS):
         moved = np.zeros(len(u), dtype=bool)
         for side in (-1, 1):
-            moved |= _from_neighbours(flat, axes, held, u, value, n_grid, side, changed | moved)
+            moved |= profiled.from_neighbours(u, value, n_grid, side, changed | moved)
         changed = moved
         if not changed.any():
             break
     top = int(value.argmax())
     if top != len(u) - 1:
-        _maximise_again(flat, axes, held, np.array([len(u) - 1]), u[top : top + 1].copy(), u, value)
-    best = axes.to_x(u[-1])
+        profiled.maximise_again(np.array([len(u) - 1]), u[top : top + 1].copy(), u, value)
+    best = flat.scores.to_x(u[-1])
     drops = value.max() - value[:-1].reshape(len(names), n_grid)
     return tuple(
         _profile(name, grid, drop, float(best[k]))
@@ -302,7 +297,8 @@ def _without_priors(posterior: Posterior, names: tuple[str, ...]) -> Posterior:
         replace(p, prior=Uniform(p.prior.lower, p.prior.upper), coupled=None) if p.name in names else p
         for p in posterior.parameters.parameters
     )
-    return replace(posterior, parameters=ParameterSet(parameters, posterior.parameters.fixed))
+    flat = ParameterSet(parameters, posterior.parameters.fixed)
+    return replace(posterior, parameters=flat, scores=NormalScores(flat))
 
 
 def _grid(posterior: Posterior, k: int, draws: Array, n: int) -> Array:
@@ -330,50 +326,51 @@ def _starts(draws: Array, height: Array, k: int, grid: Array) -> Array:
     return starts
 
 
-def _maximise_again(
-    flat: Posterior, axes: Coordinates, held: Array, which: Array, start: Array, u: Array, value: Array
-) -> Array:
-    """Optimise from ``start`` with a parameter of each held; keep in ``u`` and ``value`` what got higher.
+@dataclass(frozen=True, slots=True)
+class _Profiled:
+    """The largest likelihoods with a parameter of each point held.
 
-    Returns which points did, as numbers.
+    even : (n,) 1 for parameters whose priors do not enter, 0 for the others.
+    held : (m,) column that is held at each point, -1 for none.
     """
 
-    def target(at: Array, rows: Array) -> Expansion:
-        expansion = expand_u(flat, axes, at)
-        fixed = np.arange(at.shape[1]) == held[which[rows], None]
-        crossed = fixed[:, :, None] | fixed[:, None, :]
-        curvature = np.where(crossed, np.eye(at.shape[1]), expansion.curvature)
-        return Expansion(expansion.value, np.where(fixed, 0.0, expansion.gradient), curvature)
+    posterior: Posterior
+    even: Array
+    held: Array
 
-    optimum = maximise(target, start, axes.lower, axes.upper, most_steps=_STEPS, promised=_PROMISED)
-    higher = optimum.expansion.value > value[which] + _BETTER
-    u[which[higher]], value[which[higher]] = optimum.u[higher], optimum.expansion.value[higher]
-    return which[higher]
+    def maximise_again(self, which: Array, start: Array, u: Array, value: Array) -> Array:
+        """Optimise points from scores (k, n); keep in ``u`` and ``value``, of all points, what got higher.
 
+        which : (k,) numbers of the points. Returns the numbers of those that did.
+        """
+        scores = self.posterior.scores
 
-def _from_neighbours(
-    posterior: Posterior,
-    axes: Coordinates,
-    held: Array,
-    u: Array,
-    value: Array,
-    n_grid: int,
-    side: int,
-    changed: Array,
-) -> Array:
-    """Let points start again where their neighbours on one side ended, if these changed.
+        def target(at: Array, rows: Array) -> Expansion:
+            expansion = self.posterior.expand(at).without_prior(at, self.even)
+            fixed = np.arange(at.shape[1]) == self.held[which[rows], None]
+            crossed = fixed[:, :, None] | fixed[:, None, :]
+            curvature = np.where(crossed, np.eye(at.shape[1]), expansion.curvature)
+            return Expansion(expansion.value, np.where(fixed, 0.0, expansion.gradient), curvature)
 
-    Returns which points got higher, (m,) bool.
-    """
-    i = np.arange(len(u) - 1)
-    to = i[(i % n_grid + side >= 0) & (i % n_grid + side < n_grid)]
-    to = to[changed[to + side]]
-    moved = np.zeros(len(u), dtype=bool)
-    if len(to):
-        start = u[to + side].copy()
-        start[np.arange(len(to)), held[to]] = u[to, held[to]]
-        moved[_maximise_again(posterior, axes, held, to, start, u, value)] = True
-    return moved
+        optimum = maximise(target, start, scores.lower, scores.upper, most_steps=_STEPS, promised=_PROMISED)
+        higher = optimum.expansion.value > value[which] + _BETTER
+        u[which[higher]], value[which[higher]] = optimum.u[higher], optimum.expansion.value[higher]
+        return which[higher]
+
+    def from_neighbours(self, u: Array, value: Array, n_grid: int, side: int, changed: Array) -> Array:
+        """Let points start again where their neighbours on one side ended, if these changed.
+
+        Returns which points got higher, (m,) bool.
+        """
+        i = np.arange(len(u) - 1)
+        to = i[(i % n_grid + side >= 0) & (i % n_grid + side < n_grid)]
+        to = to[changed[to + side]]
+        moved = np.zeros(len(u), dtype=bool)
+        if len(to):
+            start = u[to + side].copy()
+            start[np.arange(len(to)), self.held[to]] = u[to, self.held[to]]
+            moved[self.maximise_again(to, start, u, value)] = True
+        return moved
 
 
 def _profile(name: str, values: Array, drop: Array, best: float) -> Profile:

@@ -16,10 +16,9 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from cpam_bayes.inference.derivatives import prior_sd
-from cpam_bayes.inference.laplace import Optimum, find_optima, gauss_newton_covariance
+from cpam_bayes.inference.importance import Proposal, about_optima
+from cpam_bayes.inference.laplace import POLISHED, find_optima
 from cpam_bayes.inference.posterior import Posterior
-from cpam_bayes.inference.proposal import Proposal
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.running import cut_short, is_time_up
@@ -27,8 +26,8 @@ from cpam_bayes.storage import ARRAYS, read_arrays, write_arrays
 
 # The window is so many times as long as the time itself.
 _WINDOW = 5.0
-# Optima that walkers start about.
-_MOST_OPTIMA = 4
+# Optima that walkers start about, and how often walkers outside the constraints are drawn again.
+_MOST_OPTIMA, _MOST_REDRAWN = 4, 20
 
 
 def integrated_times(chain: Array) -> Array:
@@ -222,43 +221,43 @@ def start_positions(
 ) -> Array:
     """Walker positions about the optima that a swarm found, (n, n_parameters).
 
-    The swarm's distinct personal bests, the best first, are carried to optima of the posterior. From each
-    walkers are drawn along the data's own covariance, as many as its height and volume deserve, reflected at
-    bounds. Raises ``ValueError`` where no particle is in the support of the prior.
+    The swarm's distinct personal bests, the best first, are carried to optima of the posterior. About each
+    lie as many walkers as its mass deserves, by Laplace's method. Raises ``ValueError`` where no particle is
+    in the support of the prior.
 
     swarm : (m, n_plate) personal bests.
     values : (m,) their misfits.
     """
-    optima = _optima(posterior, swarm, values)
-    covariance = np.array([gauss_newton_covariance(posterior, o.x) for o in optima])
-    height = np.array([o.log_prob for o in optima]) + 0.5 * np.linalg.slogdet(covariance)[1]
-    weight = np.exp(height - height.max())
-    chosen = rng.choice(len(optima), size=n, p=weight / weight.sum())
-    lower, upper = posterior.parameters.lower, posterior.parameters.upper
-    centre = np.array([o.x for o in optima])[chosen]
-    factor = np.linalg.cholesky(covariance)[chosen]
-    found, widen, missing = np.empty((n, posterior.parameters.size)), 1.0, np.arange(n)
-    while len(missing):
-        away = widen * factor[missing] @ rng.standard_normal((len(missing), factor.shape[1], 1))
-        x = lower + np.abs(centre[missing] + away[..., 0] - lower)
-        found[missing] = np.maximum(upper - np.abs(upper - x), lower)
+    scores = posterior.scores
+    starts = scores.to_z(_unlike(posterior, swarm, values))
+    optima = find_optima(posterior, starts, log2_draws=0, settings=POLISHED)
+    proposal = Proposal(scores, about_optima(optima).alone())
+    found, missing = np.empty((n, posterior.parameters.size)), np.arange(n)
+    for _ in range(_MOST_REDRAWN):
+        found[missing] = proposal.draw(len(missing), rng)
         missing = missing[~np.isfinite(posterior.log_prob(found[missing]))]
-        widen = max(0.9 * widen, 1e-3)  # at a constraint of the material
+        if not len(missing):
+            return found
+    # at a constraint of the material: closer and closer to the best optimum, which satisfies it
+    best, near = scores.to_x(optima.z[0]), 0.5
+    while len(missing):
+        found[missing] = best + near * (proposal.draw(len(missing), rng) - best)
+        missing = missing[~np.isfinite(posterior.log_prob(found[missing]))]
+        near = max(0.9 * near, 1e-3)
     return found
 
 
-def _optima(posterior: Posterior, swarm: Array, values: Array) -> list[Optimum]:
-    """Distinct optima next to the best and most different personal bests of a swarm."""
+def _unlike(posterior: Posterior, swarm: Array, values: Array) -> Array:
+    """The best and most different personal bests of a swarm as parameters of a posterior, (k, n)."""
     parameters = posterior.parameters
     order = np.argsort(values, kind="stable")
     order = order[np.isfinite(values[order])]
-    scale = prior_sd(posterior)
     starts: list[Array] = []
     for i in order:
         x = np.clip(swarm[i], parameters.lower[: swarm.shape[1]], parameters.upper[: swarm.shape[1]])
         if posterior.noise_is_inferred:
             x = np.append(x, _noise_of(posterior, x[None]))
-        far = all(np.linalg.norm((x - s) / scale) > 0.3 for s in starts)
+        far = all(np.linalg.norm((x - s) / parameters.prior_sd) > 0.3 for s in starts)
         if far and np.isfinite(posterior.log_prob(x[None])[0]):
             starts.append(x)
         if len(starts) == _MOST_OPTIMA:
@@ -267,7 +266,7 @@ def _optima(posterior: Posterior, swarm: Array, values: Array) -> list[Optimum]:
         raise ValueError(
             "chains cannot start: no particle of the swarm is within the bounds and the constraints (9)"
         )
-    return [find_optima(posterior, x[None])[0] for x in starts]
+    return np.array(starts)
 
 
 def _noise_of(posterior: Posterior, x: Array) -> float:

@@ -1,20 +1,73 @@
-"""The log density of frequency lists: a model, the noise, what the frequencies have in common, a discrepancy.
+"""The log density of frequency lists under a model of the plate.
 
-One density for `identify` and `diagnose`: its optima are sought over normal scores of the parameters, and its
-integral is the marginal likelihood.
+Every command has one: its optima are sought over normal scores of the parameters (`laplace`), and its
+integral, the marginal likelihood, is found by importance sampling about these (`importance`).
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cpam_bayes.forward_model.composed import ComposedModel
-from cpam_bayes.inference.derivatives import Expansion, NormalScores
+from cpam_bayes.inference.scores import Expansion, NormalScores
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import ParameterSet
+
+
+class LogDensity(ABC):
+    """The log density of frequency lists over the parameters of a model and its noise, or over their scores.
+
+    Errors that the frequencies have in common, of sizes and of theory, are in the covariance
+    (`CorrelatedDensity`), or among the parameters, where frequencies must be independent: their pairings with
+    modes are summed over, or their noise is Student's t (`Posterior`).
+
+    scores : normal scores of the parameters
+    """
+
+    __slots__ = ()
+    parameters: ParameterSet
+    scores: NormalScores
+
+    @property
+    @abstractmethod
+    def n_model(self) -> int:
+        """Number of the model's parameters, the first; the others are amplitudes of noise."""
+
+    @abstractmethod
+    def log_likelihood(self, x: Array) -> Array:
+        """Log likelihood at parameters (m, n), -inf where the constraints (9) are broken, (m,)."""
+
+    @abstractmethod
+    def expand_likelihood(self, x: Array) -> Expansion:
+        """The same with its gradient and its Fisher information over the parameters."""
+
+    @abstractmethod
+    def far_off(self, z: Array) -> Array:
+        """A misfit that ranks scores (m, n), far-off ones too, infinite outside the support, (m,)."""
+
+    def log_density(self, z: Array) -> Array:
+        """Log of likelihood times prior density over scores (m, n), (m,)."""
+        return self.scores.log_prior(z) + self.log_likelihood(self.scores.to_x(z))
+
+    def expand(self, z: Array) -> Expansion:
+        """Log density over scores (m, n), its gradient, and its curvature with the Fisher information."""
+        x = self.scores.to_x(z)
+        return self.scores.with_prior(self.expand_likelihood(x), x, z)
+
+
+# A misfit beyond this, relative, is as bad as any; the part of the mean misfit that one modulus takes up.
+_COARSE, _FORGIVEN = 0.02, 0.9
+
+
+def coarse_misfit(r: Array) -> Array:
+    """A misfit that ranks far-off residuals (m, n_f) of the log frequencies, (m,)."""
+    r = r - _FORGIVEN * r.mean(axis=1, keepdims=True)
+    return np.asarray(np.sum(np.log1p((r / _COARSE) ** 2), axis=1))
+
 
 # Fraction of a smooth discrepancy's variance that is common to neighbouring modes; the rest is white.
 SMOOTH_FRACTION = 0.95
@@ -89,8 +142,8 @@ def log_residuals(listed: Array, f: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class LogDensity:
-    """The log density of lists under a model, over its parameters or their normal scores.
+class CorrelatedDensity(LogDensity):
+    """The log density of lists whose frequencies have their modes, with errors in common.
 
     `residuals` are Gaussian with the covariance diag(sigma^2) + C + tau^2 F R F: C of what the frequencies
     have in common, F = diag(f) and R the correlation of a discrepancy between the model and the plate
@@ -113,6 +166,11 @@ class LogDensity:
     left_out: int | None = None
 
     @property
+    def n_model(self) -> int:
+        """Number of the model's parameters, the first; the others are amplitudes."""
+        return self.model.parameters.size
+
+    @property
     def noise(self) -> int | None:
         """Column of the first repeatability that is inferred, or ``None``."""
         return next((column for column in self.amplitudes if column >= 0), None)
@@ -123,7 +181,7 @@ class LogDensity:
         of_noise = tuple(column for column in self.amplitudes if column >= 0)
         return of_noise if self.discrepancy is None else (*of_noise, self.discrepancy)
 
-    def carried(self, other: LogDensity, values: Array, rest: Array | float = 0.0) -> Array:
+    def carried(self, other: CorrelatedDensity, values: Array, rest: Array | float = 0.0) -> Array:
         """Values (..., n) of the parameters of the same name in another comparison.
 
         values : (..., n_other) parameters, or scores, of the other one
@@ -175,7 +233,7 @@ class LogDensity:
             np.concatenate(slopes) if jacobian else None,
         )
 
-    def about(self, z: Array, tolerance: float, fraction: float = 1.0) -> LogDensity:
+    def about(self, z: Array, tolerance: float, fraction: float = 1.0) -> CorrelatedDensity:
         """The same with models that are enough about scores z (m, n), as of ``ComposedModel.about``."""
         x = self.scores.to_x(z)
         x = x[self.model.admissible(x)]
@@ -262,14 +320,9 @@ class LogDensity:
             value[inside] = 0.5 * (np.log(own / (2.0 * np.pi)) - own * off**2)
         return value
 
-    def log_density(self, z: Array) -> Array:
-        """Log of likelihood times prior density over scores (m, n), (m,)."""
-        return self.scores.log_prior(z) + self.log_likelihood(self.scores.to_x(z))
-
-    def expand(self, z: Array) -> Expansion:
-        """Log density over scores (m, n), its gradient, and its curvature with the Fisher information."""
-        m, n = z.shape
-        x = self.scores.to_x(z)
+    def expand_likelihood(self, x: Array) -> Expansion:
+        """Log likelihood at parameters (m, n), its gradient and Fisher information over them."""
+        m, n = x.shape
         value, gradient, curvature = np.full(m, -np.inf), np.zeros((m, n)), np.zeros((m, n, n))
         inside, f, slope = self.predict_inside(x, jacobian=True)
         if len(inside):
@@ -278,7 +331,15 @@ class LogDensity:
             value[inside], gradient[inside], curvature[inside] = expand(
                 x[inside], self.residuals(f), self.residual_slopes(f, slope)
             )
-        return self.scores.with_prior(Expansion(value, gradient, curvature), x, z)
+        return Expansion(value, gradient, curvature)
+
+    def far_off(self, z: Array) -> Array:
+        """The misfit of `coarse_misfit` at scores (m, n), (m,)."""
+        misfit = np.full(len(z), np.inf)
+        inside, f, _ = self.predict_inside(self.scores.to_x(z))
+        if len(inside):
+            misfit[inside] = coarse_misfit(np.log(self.listed.frequencies / f))
+        return misfit
 
     @property
     def _is_correlated(self) -> bool:

@@ -7,14 +7,15 @@ frequency, by which an amplitude is multiplied; the shape is Gaussian or Student
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from typing import Final, Literal
 
 import numpy as np
 from scipy.special import gammaln, logsumexp
 
 from cpam_bayes.forward_model.labels import Alternative, LabelledModel
-from cpam_bayes.forward_model.model import ForwardModel
+from cpam_bayes.forward_model.model import ForwardModel, Prediction
+from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.inference.pairing import (
     Pairing,
     PairingPrior,
@@ -22,6 +23,7 @@ from cpam_bayes.inference.pairing import (
     most_probable_labelled_pairing,
     pair_probabilities,
 )
+from cpam_bayes.inference.scores import Expansion, NormalScores
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter, ParameterSet, ScaledStudentT
 from cpam_bayes.plate import Measurement
@@ -164,8 +166,8 @@ class SolverError(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class Posterior:
-    """Log probability of parameter vectors, given measured frequencies.
+class Posterior(LogDensity):
+    """Log probability of parameter vectors, given measured frequencies that are independent of each other.
 
     parameters : those of the model, then the amplitude of the noise where it is inferred.
     labelled : (n_frequencies,) bool, frequencies whose mode is known by its label: the model gives it at the
@@ -175,10 +177,16 @@ class Posterior:
     model: ForwardModel
     measurement: Measurement
     parameters: ParameterSet
+    scores: NormalScores
     noise_model: NoiseModel
     labelled: Array
     pairing: PairingPrior
     alternatives: tuple[Alternative, ...] = ()
+
+    @property
+    def n_model(self) -> int:
+        """Number of the model's parameters, the first."""
+        return self.model.parameters.size
 
     @property
     def noise_is_inferred(self) -> bool:
@@ -231,12 +239,52 @@ class Posterior:
         return self.measurement.complete and not self.alternatives
 
     def log_likelihood(self, x: Array) -> Array:
-        """Log likelihood of parameter vectors (m, n_parameters), (m,)."""
+        """Log likelihood of parameter vectors (m, n_parameters), -inf where the constraints are broken, (m,).
+
+        Raises ``SolverError`` where it would not be a number.
+        """
+        value, inside = np.full(len(x), -np.inf), self.admissible(x)
+        if not inside.any():
+            return value
+        x = x if inside.all() else x[inside]
         predicted = self.predict(x)
-        density, in_range = self.log_density(predicted, self.noise(x, predicted)), self.in_range(predicted)
-        if not self.alternatives:
-            return self._log_likelihood(density, in_range)
-        return np.asarray(logsumexp(self._by_alternative(density, in_range), axis=0))
+        of_pairs, in_range = self.of_pairs(predicted, self.noise(x, predicted)), self.in_range(predicted)
+        if self.alternatives:
+            value[inside] = logsumexp(self._by_alternative(of_pairs, in_range), axis=0)
+        else:
+            value[inside] = self._log_likelihood(of_pairs, in_range)
+        if np.isnan(value).any():
+            where = x[int(np.argmax(np.isnan(value[inside])))]
+            raise SolverError(f"the log probability is not a number at {self._described(where)}")
+        return value
+
+    def expand_likelihood(self, x: Array) -> Expansion:
+        """Log likelihood, gradient and Fisher information over the parameters x (m, n).
+
+        Where pairings are summed the last is the negative Hessian for a model that is linear in its
+        parameters, its negative eigenvalues set to zero.
+        """
+        inside, expand = self.admissible(x), _one_to_one if self.is_one_to_one else _summed
+        if len(x) and inside.all():
+            return expand(self, x)
+        m, n = x.shape
+        found = Expansion(np.full(m, -np.inf), np.zeros((m, n)), np.zeros((m, n, n)))
+        if inside.any():
+            e = expand(self, x[inside])
+            found.value[inside], found.gradient[inside], found.curvature[inside] = (
+                e.value,
+                e.gradient,
+                e.curvature,
+            )
+        return found
+
+    def far_off(self, z: Array) -> Array:
+        """Minus the log density at scores (m, n), (m,)."""
+        return -self.log_density(z)
+
+    def admissible(self, x: Array) -> Array:
+        """Whether parameter vectors (m, n_parameters) satisfy the constraints (9), (m,) bool."""
+        return self.model.admissible(x[:, : self.model.parameters.size])
 
     def _by_alternative(self, density: Array, in_range: Array) -> Array:
         """Log likelihood by every alternative pairing with its probability, (n_alternatives, m)."""
@@ -259,7 +307,7 @@ class Posterior:
         """The mode of each labelled frequency, -1 for the others, (n_f,)."""
         return np.where(self.labelled, np.arange(len(self.labelled)), -1)
 
-    def log_density(self, predicted: Array, sigma: Array) -> Array:
+    def of_pairs(self, predicted: Array, sigma: Array) -> Array:
         """Log density of every measured frequency about every predicted one, (m, n_f, n_modes)."""
         z = (self.measurement.frequencies[None, :, None] - predicted[:, None, :]) / sigma
         return self.noise_model.log_density(z) - np.log(sigma)
@@ -271,7 +319,7 @@ class Posterior:
             return Pairing(np.arange(measurement.size), np.empty(0, dtype=int), 0.0)
         predicted = self.predict(x[None])
         density, in_range = (
-            self.log_density(predicted, self.noise(x[None], predicted)),
+            self.of_pairs(predicted, self.noise(x[None], predicted)),
             self.in_range(predicted),
         )
         places, log_probability = np.arange(predicted.shape[1]), 0.0
@@ -291,7 +339,7 @@ class Posterior:
         """Probability that each frequency is what it was paired with, over draws (m, n_parameters), (n,)."""
         predicted = self.predict(draws)
         of_pair = pair_probabilities(
-            self.log_density(predicted, self.noise(draws, predicted)),
+            self.of_pairs(predicted, self.noise(draws, predicted)),
             self.in_range(predicted),
             self.span,
             self.pairing,
@@ -313,7 +361,7 @@ class Posterior:
         log_prior = self.parameters.log_prior(x)
         inside = np.isfinite(log_prior)
         allowed = inside.copy()
-        allowed[inside] = self.model.admissible(x[inside][:, : self.model.parameters.size])
+        allowed[inside] = self.admissible(x[inside])
         return np.where(allowed, log_prior, -np.inf)
 
     def log_prob(self, x: Array) -> Array:
@@ -326,9 +374,6 @@ class Posterior:
         inside = np.isfinite(value)
         if inside.any():
             value[inside] += self.log_likelihood(x[inside])
-            if np.isnan(value).any():
-                where = x[int(np.argmax(np.isnan(value)))]
-                raise SolverError(f"the log probability is not a number at {self._described(where)}")
         return value
 
     def _described(self, x: Array) -> str:
@@ -373,4 +418,132 @@ def plate_posterior(
         )
     if pairing is None:
         pairing = PairingPrior.of(measurement)
-    return Posterior(predicting, measurement, parameters, noise, labelled, pairing, alternatives)
+    scores = NormalScores(parameters)
+    return Posterior(predicting, measurement, parameters, scores, noise, labelled, pairing, alternatives)
+
+
+# Step of the complex-step derivative: any small number does, no digits go.
+_COMPLEX_STEP = 1e-30
+# Steps of central differences of a summed likelihood along the model's tangent, in standard deviations of the
+# priors, of the noise in its logarithm: of first derivatives and of second ones.
+_STEP, _SECOND_STEP = 1e-5, 1e-4
+# Differences of a summed likelihood that are computed at once: as many stay in a processor's cache.
+_MOST_AT_ONCE = 1000
+
+
+def _one_to_one(posterior: Posterior, x: Array) -> Expansion:
+    """Expansion for a complete list: every frequency depends on its own mode alone.
+
+    The Fisher information of location and log scale of a Student-t density of nu degrees of freedom is
+    (nu + 1) / (nu + 3) / sigma^2 and 2 nu / (nu + 3) (Lange, Little and Taylor, 1989).
+    """
+    n_plate, n_f = posterior.model.parameters.size, posterior.measurement.size
+    prediction = posterior.model.predict(x[:, :n_plate], jacobian=True)
+    assert prediction.jacobian is not None
+    f = prediction.frequencies
+    slope = np.zeros((len(x), n_f, x.shape[1]))  # d f_i / dx
+    slope[:, :, :n_plate] = prediction.jacobian[:, :n_f]
+    i = np.arange(n_f)
+
+    def paired(x: Array, f: Array) -> tuple[Array, Array]:
+        sigma = posterior.noise(x, f)
+        return posterior.of_pairs(f, sigma)[:, i, i], sigma[:, i, i]
+
+    step = 1j * _COMPLEX_STEP
+    density, sigma = paired(x, f + step)
+    value, sigma_0 = density.real.sum(axis=1), sigma.real
+    by_f = density.imag / _COMPLEX_STEP
+    gradient = np.einsum("mi,mij->mj", by_f, slope)
+    log_sigma = (sigma.imag / _COMPLEX_STEP / sigma_0)[..., None] * slope  # d log sigma_i / dx
+    for j in range(n_plate, x.shape[1]):
+        density, sigma = paired(x + step * (np.arange(x.shape[1]) == j), f)
+        gradient[:, j] += density.imag.sum(axis=1) / _COMPLEX_STEP
+        log_sigma[:, :, j] += sigma.imag / _COMPLEX_STEP / sigma_0
+    nu = posterior.degrees_of_freedom
+    location, scale = posterior.noise_model.information, 2.0 if np.isinf(nu) else 2.0 * nu / (nu + 3.0)
+    weighted = slope / sigma_0[..., None]
+    curvature = location * _gram(weighted) + scale * _gram(log_sigma)
+    return Expansion(value, gradient, curvature)
+
+
+def _gram(a: Array) -> Array:
+    return np.asarray(np.swapaxes(a, 1, 2) @ a)
+
+
+@dataclass(frozen=True, slots=True)
+class _Tangent:
+    """A model that is linear in its parameters: the tangent of another at m points."""
+
+    parameters: ParameterSet
+    at: Array
+    frequencies: Array
+    jacobian: Array
+
+    def predict(self, x: Array, *, jacobian: bool = False) -> Prediction:
+        away = np.einsum("mij,mj->mi", self.jacobian, x - self.at)
+        return Prediction(self.frequencies + away, self.jacobian if jacobian else None)
+
+    def admissible(self, x: Array) -> Array:
+        return np.ones(len(x), dtype=bool)
+
+
+@dataclass(frozen=True, slots=True)
+class _TangentPosterior(Posterior):
+    """A posterior over a tangent, with the modes in range held as they are at its points.
+
+    A mode comes into range at the highest frequency listed, next to which every optimum lies: a
+    difference across that small jump would say nothing about the slope.
+    """
+
+    seen: Array = field(default_factory=lambda: np.empty((0, 0), dtype=bool))
+
+    def in_range(self, predicted: Array) -> Array:
+        return self.seen
+
+
+def _summed(posterior: Posterior, x: Array) -> Expansion:
+    """Where pairings are summed over: differences of the likelihood along the model's tangent, no solves."""
+    n_plate, n = posterior.model.parameters.size, x.shape[1]
+    prediction = posterior.model.predict(x[:, :n_plate], jacobian=True)
+    assert prediction.jacobian is not None
+    seen = posterior.in_range(prediction.frequencies)
+    slope, unit = posterior.parameters.prior_sd * np.ones_like(x), np.eye(n)
+    slope[:, n_plate:] = x[:, n_plate:]  # of the noise, a scale, in its logarithm
+    pairs = np.array([(j, k) for j in range(n) for k in range(j + 1)])
+    j, k = pairs.T
+    first, second = _STEP * unit, _SECOND_STEP * unit
+    offsets = np.concatenate(
+        (np.zeros((1, n)), first, -first, *(s * second[j] + t * second[k] for s in (1, -1) for t in (1, -1)))
+    )
+    changed = {f.name: getattr(posterior, f.name) for f in fields(Posterior)}
+    values = np.empty((len(x), len(offsets)))
+    block = max(_MOST_AT_ONCE // len(offsets), 1)
+    for rows in (slice(i, i + block) for i in range(0, len(x), block)):
+        at, of_model, frequencies, jacobian, in_range = (
+            np.repeat(a[rows], len(offsets), axis=0)
+            for a in (x, x[:, :n_plate], prediction.frequencies, prediction.jacobian, seen)
+        )
+        tangent = _Tangent(posterior.model.parameters, of_model, frequencies, jacobian)
+        along = _TangentPosterior(**changed | {"model": tangent}, seen=in_range)
+        moved = at + (offsets * slope[rows, None]).reshape(at.shape)
+        values[rows] = along.log_likelihood(moved).reshape(-1, len(offsets))
+    value, up, down, *corners = np.split(values, np.cumsum([1, n, n, *[len(pairs)] * 3]), axis=1)
+    gradient = (up - down) / (2.0 * _STEP)
+    bend = np.empty((len(x), n, n))
+    bend[:, j, k] = bend[:, k, j] = -(corners[0] - corners[1] - corners[2] + corners[3]) / (
+        4.0 * _SECOND_STEP**2
+    )
+    values, vectors = np.linalg.eigh(bend)
+    bend = (vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    inverse = 1.0 / slope
+    return Expansion(value[:, 0], gradient * inverse, bend * inverse[:, :, None] * inverse[:, None, :])
+
+
+def gauss_newton_covariance(posterior: Posterior, x: Array) -> Array:
+    """(F + P^-1)^-1 at x (n,), F the information of the data, P the covariance of the priors, (n, n).
+
+    A direction which the data leave open keeps its prior's width.
+    """
+    by_sd = 1.0 / posterior.parameters.prior_sd
+    of_prior = by_sd[:, None] * posterior.parameters.precision * by_sd
+    return np.asarray(np.linalg.inv(posterior.expand_likelihood(x[None]).curvature[0] + of_prior))

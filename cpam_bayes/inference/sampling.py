@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -16,7 +16,6 @@ from cpam_bayes import __version__
 from cpam_bayes.answer import Notice
 from cpam_bayes.fingerprint import fingerprint
 from cpam_bayes.forward_model.known_errors import narrowed
-from cpam_bayes.inference.derivatives import NormalScores
 from cpam_bayes.inference.ensemble import (
     DEFAULT_SETTINGS,
     Diagnostics,
@@ -26,20 +25,27 @@ from cpam_bayes.inference.ensemble import (
     sample,
     start_positions,
 )
+from cpam_bayes.inference.importance import Proposal, Rounds, about_optima, importance
+from cpam_bayes.inference.laplace import POLISHED, find_optima
 from cpam_bayes.inference.posterior import Posterior
-from cpam_bayes.inference.proposal import NOWHERE, AdaptationSettings, adapt, adapted, draw_round, refine
-from cpam_bayes.inference.student_mixture import RELIABLE_K, log_mixture, weighted
+from cpam_bayes.inference.student_mixture import RELIABLE_K, Weighted, weighted
 from cpam_bayes.inference.swarm import SwarmSettings, minimise
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.plate import Specimen, to_user, unit_of, user_name
 from cpam_bayes.running import single_blas_thread
 from cpam_bayes.storage import opened_draws
 
-# Of the proposal that chains jump to: it need not be as good as that of an evidence.
-JUMPS = AdaptationSettings()
+# Rounds of importance sampling for an evidence, and for the proposal that chains jump to, which need not be
+# as good.
+EVIDENCE: Final = Rounds(log2_points=10, most=24, least=4, enough=8000.0, steady=0.01)
+JUMPS: Final = Rounds(log2_points=9, most=12, least=2, enough=1500.0, steady=0.05, good=0.6)
 # The basis about a posterior: draws that it is made from, its largest error, the share of the noise that it
 # is at most, and the share of the draws whose noise may be less than the one that counts.
 _NARROWED_SETS, _NARROWED_ERROR, _NARROWED_SHARE, _LEAST_NOISE = 400, 2e-3, 0.05, 0.01
+# Fewest effective draws of an evidence to rely on; optima are as high as the best within so many nats.
+_FEWEST_EFFECTIVE, _ALIKE_NATS = 100.0, 3.0
+# Draws of the chains that an evidence begins from, beside their best.
+_OF_CHAINS = 24
 # Draws of the chains that are weighed on the whole basis.
 _REWEIGHTED = 1000
 # Effective fraction of these below which chains on the narrow basis are doubtful.
@@ -86,7 +92,7 @@ def sample_from(
     walkers = start_positions(posterior, bests, values, n_walkers, rng)
     start = walkers.reshape(settings.ensembles, settings.walkers, -1)
     best = walkers[np.argmax(posterior.log_prob(walkers))]
-    proposal = adapted(posterior, best[None], seed, JUMPS)
+    proposal = sampled_about(posterior, best[None], JUMPS)[0]
     fast = _narrowed(posterior, proposal.draw(_NARROWED_SETS, rng))
     return sample(fast, start, seed, settings, proposal=proposal, store=store, progress=progress), fast
 
@@ -121,28 +127,6 @@ def swarm_on_posterior(posterior: Posterior, seed: int, settings: SwarmSettings)
     return swarm.personal_bests[:, :n], swarm.personal_values, swarm.evaluations
 
 
-# Weight of one draw above which the proposal has missed something.
-_OUTSTANDING_WEIGHT = 0.005
-
-
-@dataclass(frozen=True, slots=True)
-class EvidenceSettings:
-    """How an evidence is sampled.
-
-    draws : of the estimate.
-    adaptation : of the proposal before.
-    attempts : how often the estimate is made, each time from a proposal fitted to all draws before, until no
-    weight stands out.
-    """
-
-    draws: int = 20_000
-    adaptation: AdaptationSettings = field(default_factory=AdaptationSettings)
-    attempts: int = 3
-
-
-_USUAL = EvidenceSettings()
-
-
 @dataclass(frozen=True, slots=True)
 class Evidence:
     """The integral of likelihood times prior density, and the draws it was estimated from.
@@ -150,13 +134,9 @@ class Evidence:
     standard_error : of log_evidence, from the spread of the weights, those of a narrow basis included.
     effective_size : (sum w)^2 / sum w^2.
     k_hat : Pareto shape of the largest weights.
-    status : reliable where k_hat is below 0.7 and the effective size above 100; elsewhere neither value nor
-    error are to be relied on.
-    n_draws : of the estimate.
-    solves : of the adaptation too.
-    mean, sd : (n,) of the parameters.
-    draws : (n_draws, n).
-    log_weights : (n_draws,), their normalised weights.
+    status : reliable where k_hat is below 0.7, the effective size above 100 and the optima few; elsewhere
+    neither value nor error are to be relied on.
+    solves : forward solves, those of the search for optima apart.
     exact_fraction : effective fraction of draws of chains on a narrow basis, weighed on the whole one.
 
     The prior is the product of the parameters' densities, zero where the constraints (9) are broken; it
@@ -168,12 +148,7 @@ class Evidence:
     effective_size: float
     k_hat: float
     status: Literal["reliable", "unreliable"]
-    n_draws: int
     solves: int
-    mean: Array
-    sd: Array
-    draws: Array
-    log_weights: Array
     exact_fraction: float = 1.0
 
 
@@ -201,71 +176,51 @@ def basis_notices(evidence: Evidence) -> tuple[Notice, ...]:
     return (Notice("narrow_basis", facts={"fraction": evidence.exact_fraction}),)
 
 
-def evidence_of(
-    posterior: Posterior, result: EnsembleResult, seed: int, *, settings: EvidenceSettings = _USUAL
-) -> Evidence:
+def evidence_of(posterior: Posterior, result: EnsembleResult) -> Evidence:
     """The evidence of a posterior whose chains are there.
 
-    The proposal is fitted to the optima next to draws from the prior too: one that the chains missed counts.
+    Optima are looked for next to draws from the prior too: one that the chains missed counts.
     """
-    best = result.draws[int(np.argmax(result.log_prob))]
-    return importance_evidence(posterior, best[None], seed, chain=result.draws, settings=settings)
+    some = np.linspace(0, len(result.draws) - 1, _OF_CHAINS).astype(int)
+    best = int(np.argmax(result.log_prob))
+    return importance_evidence(posterior, result.draws[[best, *some]])
 
 
 @single_blas_thread
-def importance_evidence(
-    posterior: Posterior,
-    starts: Array,
-    seed: int,
-    *,
-    chain: Array | None = None,
-    settings: EvidenceSettings = _USUAL,
-) -> Evidence:
-    """The evidence of a posterior by adaptive importance sampling.
+def importance_evidence(posterior: Posterior, known: Array, rounds: Rounds = EVIDENCE) -> Evidence:
+    """The evidence of a posterior by importance sampling about its optima, see ``importance``.
 
-    Z = E_q[p / q], q a mixture of Student-t densities of 5 degrees of freedom over normal scores, as of
-    ``adapt``. The estimate is made of fresh draws, for which q is fixed: its expectation is Z. If one draw
-    carries more than 0.5 % of the weight, or the tail of the weights is heavy, it is made again from a q
-    fitted to these draws. Raises ``ValueError`` where nothing lies in the support of the prior.
+    Z = E_q[p / q], q the blend of Student-t mixtures over normal scores. Where more optima are as high as the
+    best than are sampled about, others are likely to be missed: it is not reliable. Raises ``ValueError``
+    where nothing lies in the support of the prior.
 
-    starts : (m, n) where optima are looked for, besides draws from the prior; may be empty.
-    chain : (n_draws, n) draws of the posterior.
+    known : (m, n) where optima are looked for, besides draws from the prior; may be empty.
     """
-    rng = np.random.default_rng([seed, 4])
-    state = adapt(posterior, starts, rng, settings.adaptation, chain)
-    for attempt in range(settings.attempts):
-        draw_round(state, settings.draws, rng)
-        log_weight = state.targets[-1] - log_mixture(state.proposal, state.points[-1])
-        evidence = _summarised(state.scores, state.points[-1], log_weight, sum(map(len, state.points)))
-        missed = np.exp(evidence.log_weights.max()) > _OUTSTANDING_WEIGHT
-        if (evidence.status == "reliable" and not missed) or attempt == settings.attempts - 1:
-            break
-        refine(state)
-    return evidence
-
-
-def _summarised(scores: NormalScores, z: Array, log_ratio: Array, solves: int) -> Evidence:
-    if not np.isfinite(log_ratio).any():
-        raise ValueError(NOWHERE)
-    x = scores.to_x(z)
-    sample = weighted(x[None], log_ratio[None])
-    weight, k_hat, effective = sample.weight[0], float(sample.k_hat[0]), float(sample.effective_size[0])
-    mean = weight @ x
-    with np.errstate(divide="ignore"):
-        log_weights = np.log(weight)
+    proposal, found, alike = sampled_about(posterior, known, rounds)
+    k_hat, effective = float(found.k_hat[0]), float(found.effective_size[0])
+    is_reliable = k_hat < RELIABLE_K and effective > _FEWEST_EFFECTIVE and alike < POLISHED.rounds[-1][0]
     return Evidence(
-        log_evidence=float(sample.log_evidence[0]),
-        standard_error=float(sample.standard_error[0]),
+        log_evidence=float(found.log_evidence[0]),
+        standard_error=float(found.standard_error[0]),
         effective_size=effective,
         k_hat=k_hat,
-        status="reliable" if k_hat < RELIABLE_K and effective > 100.0 else "unreliable",
-        n_draws=len(z),
-        solves=solves,
-        mean=mean,
-        sd=np.sqrt(weight @ (x - mean) ** 2),
-        draws=x,
-        log_weights=log_weights,
+        status="reliable" if is_reliable else "unreliable",
+        solves=proposal.solves,
     )
+
+
+def sampled_about(posterior: Posterior, known: Array, rounds: Rounds) -> tuple[Proposal, Weighted, int]:
+    """A proposal that covers a posterior, its weighted points over scores, and how many optima are as high.
+
+    known : (m, n) as of ``importance_evidence``
+    """
+    scores = posterior.scores
+    optima = find_optima(posterior, scores.to_z(known), settings=POLISHED)
+    found, mixture = importance(
+        lambda z: posterior.log_density(z[0])[None], about_optima(optima), rounds, posterior.expand
+    )
+    alike = int(np.sum(optima.value > optima.value[0] - _ALIKE_NATS))
+    return Proposal(scores, mixture.alone(), found.points.shape[1]), found, alike
 
 
 # Name of the attribute.

@@ -1,19 +1,15 @@
-"""Mixtures of Student-t densities: density, draws, mass between bounds, fits, importance sampling."""
+"""Mixtures of Student-t densities: density, draws, refits to weighted points, and the weights of these."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.special import chdtri, gammaln, log_ndtr, ndtri, ndtri_exp, stdtr, stdtrit
+from scipy.special import chdtri, gammaln, ndtri
 from scipy.stats import qmc
 
 from cpam_bayes.mechanics.problem import Array
-
-# Fraction of the whole that a component keeps at least, and ridge of its scale over that of all points.
-_LEAST_FRACTION, _RIDGE = 0.01, 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +26,10 @@ class Mixture:
     centre: Array
     factor: Array
     degrees_of_freedom: float
+
+    def alone(self) -> Mixture:
+        """The mixture of a stack of one."""
+        return Mixture(self.share[0], self.centre[0], self.factor[0], self.degrees_of_freedom)
 
 
 def log_student_t(away: Array, factor: Array, nu: float) -> Array:
@@ -105,72 +105,6 @@ def _standard_points(n: int, log2_points: int, nu: float) -> tuple[Array, Array]
     return step, uniform[:, n + 1]
 
 
-def single(points: Array, weights: Array, nu: float) -> Mixture:
-    """One component with the mean of weighted points (m, n) and their covariance as its scale."""
-    mean = weights @ points
-    return Mixture(np.ones(1), mean[None], _factor(_covariance(points, weights, mean))[None], nu)
-
-
-def split(mixture: Mixture, points: Array, weights: Array, components: int) -> Mixture:
-    """A mixture of so many components, the largest of the given ones halved along their longest axis.
-
-    points : (m, n), weights : (m,) that add up to one; they say how far each component reaches.
-    """
-    while len(mixture.share) < components:
-        i = int(np.argmax(mixture.share))
-        values, vectors = np.linalg.eigh(mixture.factor[i] @ mixture.factor[i].T)
-        values = np.maximum(values, 0.0)  # rounding, where units differ by many orders of magnitude
-        scale = np.sqrt(np.diag(_covariance(points, weights, weights @ points)))
-        # the longest axis in units of the whole cloud, so that no coordinate's unit decides
-        longest = int(np.argmax(np.linalg.norm(vectors * np.sqrt(values) / scale[:, None], axis=0)))
-        step = 0.7 * np.sqrt(values[longest]) * vectors[:, longest]
-        halves = np.stack((mixture.centre[i] + step, mixture.centre[i] - step))
-        rest = np.arange(len(mixture.share)) != i
-        mixture = Mixture(
-            np.concatenate((mixture.share[rest], np.full(2, 0.5 * mixture.share[i]))),
-            np.concatenate((mixture.centre[rest], halves)),
-            np.concatenate((mixture.factor[rest], np.stack((mixture.factor[i],) * 2))),
-            mixture.degrees_of_freedom,
-        )
-    return mixture
-
-
-def fit(mixture: Mixture, points: Array, weights: Array, steps: int = 10) -> Mixture:
-    """The mixture that weighted points (m, n) make most probable, next to a given one.
-
-    Expectation maximisation at fixed degrees of freedom (Peel and McLachlan, 2000), for points of an
-    importance sample the update of Cappe et al. (2008, Adaptive importance sampling in general mixture
-    classes). Components keep a hundredth of the whole at least. For thousands of points; of a hundred,
-    ``shrunk_moments`` makes less mistakes.
-
-    weights : (m,) that add up to one.
-    """
-    nu, n = mixture.degrees_of_freedom, points.shape[1]
-    whole = _covariance(points, weights, weights @ points)
-    ridge = _RIDGE * np.diag(np.diag(whole))
-    for _ in range(steps):
-        parts = log_components(mixture, points)
-        member = np.exp(parts - log_sum_exp(parts, axis=0)) * weights
-        share = member.sum(axis=1)
-        centres, factors = [], []
-        for k in range(len(share)):
-            if share[k] < 1e-8:
-                centres.append(mixture.centre[k])
-                factors.append(mixture.factor[k])
-                continue
-            z = (points - mixture.centre[k]) @ np.linalg.inv(mixture.factor[k]).T
-            # points in the tails say less about centre and scale
-            pull = member[k] * (nu + n) / (nu + np.sum(z**2, axis=1))
-            centre = pull @ points / pull.sum()
-            away = points - centre
-            scale = (pull[:, None] * away).T @ away / share[k]
-            centres.append(centre)
-            factors.append(_factor(scale + ridge))
-        kept = np.maximum(share, _LEAST_FRACTION)
-        mixture = Mixture(kept / kept.sum(), np.stack(centres), np.stack(factors), nu)
-    return mixture
-
-
 def shrunk_moments(
     mixture: Mixture, points: Array, log_weight: Array, *, least: float, wider: float, prior_points: float
 ) -> Mixture:
@@ -203,17 +137,6 @@ def shrunk_moments(
     return Mixture(share, centre, factor, mixture.degrees_of_freedom)
 
 
-def widened(mixture: Mixture, share: float, factor: float, points: Array, weights: Array) -> Mixture:
-    """The mixture with one more component, of a given share, about all points and so many times as wide."""
-    safe = single(points, weights, mixture.degrees_of_freedom)
-    return Mixture(
-        np.append((1.0 - share) * mixture.share, share),
-        np.concatenate((mixture.centre, safe.centre)),
-        np.concatenate((mixture.factor, factor * safe.factor)),
-        mixture.degrees_of_freedom,
-    )
-
-
 def log_sum_exp(values: Array, axis: int | tuple[int, ...]) -> Array:
     """log sum exp along axes, -inf where all are."""
     top = values.max(axis=axis, keepdims=True)
@@ -221,120 +144,6 @@ def log_sum_exp(values: Array, axis: int | tuple[int, ...]) -> Array:
     with np.errstate(divide="ignore"):
         total = np.log(np.sum(np.exp(values - top), axis=axis))
     return np.asarray(total + np.squeeze(top, axis=axis))
-
-
-def _covariance(points: Array, weights: Array, mean: Array) -> Array:
-    away = points - mean
-    return np.asarray((weights[:, None] * away).T @ away)
-
-
-def _factor(scale: Array) -> Array:
-    """Cholesky factor of a scale matrix that few points may have left singular."""
-    spread = np.diag(np.diag(scale)) + 1e-12 * np.eye(len(scale))
-    for ridge in (0.0, 1e-6, 1e-3, 1e-1):
-        try:
-            return np.asarray(np.linalg.cholesky(scale + ridge * spread))
-        except np.linalg.LinAlgError:
-            continue
-    return np.asarray(np.sqrt(spread))
-
-
-def log_box_mass(
-    centre: Array, scale: Array, lower: Array, upper: Array, nu: float = np.inf, log2_points: int = 10
-) -> Array:
-    """Log probability between bounds of m Gaussian or Student-t densities, (m,).
-
-    One variable after the other, each given those before, over a Sobol sequence, the most constrained
-    first (Genz and Bretz, Computation of Multivariate Normal and t Probabilities, 2009). All in
-    logarithms: a centre many standard deviations outside keeps its digits. The error is about 1e-3
-    with 2^10 points in five dimensions. No chance is involved.
-
-    centre : (m, n).
-    scale : (m, n, n) covariance, or scale matrix of a Student-t of nu degrees of freedom.
-    lower, upper : (n,), may be infinite.
-    """
-    m, n = centre.shape
-    sd = np.sqrt(np.diagonal(scale, axis1=1, axis2=2))
-    alone = _log_interval((lower - centre) / sd, (upper - centre) / sd, nu)
-    order = np.argsort(alone, axis=1, kind="stable")
-    row = np.arange(m)[:, None]
-    factor = np.linalg.cholesky(scale[row[..., None], order[:, :, None], order[:, None, :]])
-    sobol = qmc.Sobol(n, scramble=False).random_base2(log2_points)
-    points = sobol + 0.5**log2_points / 2.0  # off the faces of the cube
-    _, log_mass = _sequential(centre[row, order], factor, lower[order], upper[order], nu, points)
-    top = log_mass.max(axis=1, keepdims=True)
-    return np.asarray(np.log(np.mean(np.exp(log_mass - top), axis=1)) + top[:, 0])
-
-
-def box_draws(
-    centre: Array, scale: Array, lower: Array, upper: Array, nu: float, size: int, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Draws between bounds near a Gaussian or Student-t, (size, n), and their log density, (size,).
-
-    Every coordinate is drawn from its conditional density given those before, cut at its bounds. That
-    is not the density cut as a whole, but one that is known, normalised, and equal to it where nothing
-    is cut (Geweke, 1991). centre : (n,), scale : (n, n), lower and upper (n,).
-    """
-    factor = np.linalg.cholesky(scale)
-    uniform = rng.uniform(size=(size, len(centre)))
-    x, log_mass = _sequential(centre[None], factor[None], lower[None], upper[None], nu, uniform)
-    return x[0], log_student_t(x[0] - centre, factor, nu) - log_mass[0]
-
-
-def _sequential(
-    centre: Array, factor: Array, lower: Array, upper: Array, nu: float, uniform: Array
-) -> tuple[Array, Array]:
-    """Points between the bounds, (m, k, n), and the log product of the conditional masses, (m, k).
-
-    centre, lower, upper : (m, n).
-    factor : (m, n, n).
-    uniform : (k, n) in (0, 1).
-    """
-    m, n = centre.shape
-    z = np.zeros((m, len(uniform), n))
-    log_mass = np.zeros((m, len(uniform)))
-    squared = np.zeros((m, len(uniform)))
-    for i in range(n):
-        shift = np.einsum("mkj,mj->mk", z[:, :, :i], factor[:, i, :i]) + centre[:, i, None]
-        # given those before, a t coordinate is a t of more degrees of freedom and another width
-        dof = nu + i
-        width = np.ones_like(squared) if np.isinf(nu) else np.sqrt((nu + squared) / dof)
-        a, b = ((bound[:, i, None] - shift) / (factor[:, i, i, None] * width) for bound in (lower, upper))
-        log_mass += _log_interval(a, b, dof)
-        z[:, :, i] = width * _interval_quantile(a, b, dof, uniform[:, i])
-        squared += z[:, :, i] ** 2
-    x = centre[:, None] + np.einsum("mkj,mij->mki", z, factor)
-    return np.clip(x, lower[:, None], upper[:, None]), log_mass
-
-
-def _mirrored(a: Array, b: Array) -> tuple[Array, Array, Array]:
-    """Intervals carried to the lower tail, where distribution functions are accurate, and their signs."""
-    with np.errstate(invalid="ignore"):
-        flip = a + b > 0  # not where both are infinite: then nothing is cut
-    return np.where(flip, -b, a), np.where(flip, -a, b), np.where(flip, -1.0, 1.0)
-
-
-def _log_interval(a: Array, b: Array, nu: float) -> Array:
-    """Log probability of a standard variable between a and b."""
-    a, b, _ = _mirrored(a, b)
-    with np.errstate(divide="ignore"):
-        if np.isinf(nu):
-            below, above = log_ndtr(a), log_ndtr(b)
-            return np.asarray(above + np.log(-np.expm1(np.minimum(below - above, 0.0))))
-        return np.asarray(np.log(stdtr(nu, b) - stdtr(nu, a)))
-
-
-def _interval_quantile(a: Array, b: Array, nu: float, p: Array) -> Array:
-    """Quantiles p in (0, 1) of a standard variable cut to [a, b]."""
-    a, b, sign = _mirrored(a, b)
-    p = np.where(sign > 0, p, 1.0 - p)
-    if np.isinf(nu):
-        with np.errstate(divide="ignore"):
-            log_p = np.logaddexp(log_ndtr(a) + np.log1p(-p), log_ndtr(b) + np.log(p))
-        x = ndtri_exp(np.minimum(log_p, 0.0))
-    else:
-        x = stdtrit(nu, (1.0 - p) * stdtr(nu, a) + p * stdtr(nu, b))
-    return np.asarray(sign * np.clip(x, a, b))
 
 
 # Importance weights with a heavier tail than this have no useful error (Vehtari et al., 2024).
@@ -382,37 +191,6 @@ def weighted(points: Array, log_ratio: Array) -> Weighted:
             effective_size=ratio.sum(axis=1) ** 2 / np.sum(ratio**2, axis=1),
             k_hat=np.array([pareto_shape(row) for row in log_ratio]),
         )
-
-
-def staged_importance(
-    log_density: Callable[[Array], Array],
-    mixture: Mixture,
-    log2_points: int,
-    stages: tuple[float, ...] = (1.0,),
-    refit: Callable[[Mixture, Array, Array], Mixture] | None = None,
-) -> Weighted:
-    """Integrals of m densities by importance sampling from a stack of Student-t mixtures.
-
-    The points are those of one scrambled Sobol sequence for all densities, so that differences between
-    these are known better than each alone. After each stage the mixtures are refitted to all points before;
-    all of them are weighed against the blend of the mixtures (Cornuet et al., 2012).
-
-    log_density : (m, p, n) -> (m, p).
-    stages : fractions of the points.
-    refit : mixture, points and their log weights -> the mixture of the next stage.
-    """
-    m, n = mixture.centre.shape[0], mixture.centre.shape[2]
-    stops = np.cumsum([0, *(round(stage * (1 << log2_points)) for stage in stages)])
-    mixtures, sizes = [mixture], [int(size) for size in np.diff(stops)]
-    points, target = np.empty((m, 0, n)), np.empty((m, 0))
-    for i in range(len(stages)):
-        if i and refit is not None:
-            log_weight = target - log_blend(mixtures, sizes[:i], points)
-            mixtures.append(refit(mixtures[-1], points, log_weight))
-        more = sobol_points(mixtures[i], log2_points, slice(stops[i], stops[i + 1]))
-        points = np.concatenate((points, more), axis=1)
-        target = np.concatenate((target, log_density(more)), axis=1)
-    return weighted(points, target - log_blend(mixtures, sizes, points))
 
 
 def effective_size(log_weight: Array) -> float:

@@ -20,10 +20,9 @@ from cpam_bayes.forward_model.model import ForwardModel
 from cpam_bayes.identification.point import linearised_covariance
 from cpam_bayes.identification.search import misfit
 from cpam_bayes.inference.assessment import cutting_constraints
-from cpam_bayes.inference.derivatives import prior_sd
 from cpam_bayes.inference.ensemble import EnsembleSettings
-from cpam_bayes.inference.laplace import find_optima, gauss_newton_covariance
-from cpam_bayes.inference.posterior import Posterior, plate_posterior
+from cpam_bayes.inference.laplace import maximised
+from cpam_bayes.inference.posterior import Posterior, gauss_newton_covariance, plate_posterior
 from cpam_bayes.inference.sampling import sample_posterior
 from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings, material_swarm, minimise
 from cpam_bayes.parameters import ParameterSet
@@ -49,6 +48,8 @@ _ON_BOUND, _NEXT_TO_BOUND = 1e-3, 1e-2
 _NOISE, _SWARM = 0, 1
 # Swarms on one list before it is given up, and what two that found the same leave between them.
 _MAX_SWARMS, _LEFT_BY_SWARM = 5, 5e-4
+# Steps to the most likely constants at most, and the gain, nats, that ends them.
+_STEPS, _PROMISED = 60, 1e-9
 # In place of the number of a group, for the posterior.
 POSTERIOR = 2**32 - 1
 
@@ -428,10 +429,12 @@ def _sample(shared: Shared, task: InversionTask) -> PosteriorSummary:
     seed = int(np.random.SeedSequence(task.seeds(shared.seed)).generate_state(1)[0])
     result = sample_posterior(posterior, seed, settings=shared.chains, swarm_settings=shared.problem.swarm)
     draws, parameters = result.draws, posterior.parameters
-    best = find_optima(posterior, shared.reference[None])[0].x
+    # the most likely constants: with even priors those of the swarm's least misfit
+    start = posterior.scores.to_z(shared.reference[None])
+    best = posterior.scores.to_x(maximised(posterior, start, _STEPS, _PROMISED, weight=1.0).z[0])
     near = _NEXT_TO_BOUND * (parameters.upper - parameters.lower)
     next_to = (draws < parameters.lower + near) | (draws > parameters.upper - near)
-    scale = prior_sd(posterior)
+    scale = parameters.prior_sd
     q025, q975 = np.quantile(draws, (0.025, 0.975), axis=0)
     return PosteriorSummary(
         mean=draws.mean(axis=0),

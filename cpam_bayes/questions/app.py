@@ -27,7 +27,8 @@ from cpam_bayes.forward_model.preconditions import misfit_over_noise
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.identification.point import bound_of, verdict_of
 from cpam_bayes.identification.search import posterior
-from cpam_bayes.inference.laplace import find_optima, gauss_newton_covariance
+from cpam_bayes.inference.laplace import POLISHED, find_optima
+from cpam_bayes.inference.posterior import gauss_newton_covariance
 from cpam_bayes.plate import Specimen, builtin_names, parse_specimen, to_user
 from cpam_bayes.plate.reader import builtin_text
 from cpam_bayes.questions.batch import batch
@@ -199,22 +200,24 @@ def live(text: str, name: str, folder: str, optimum: Mapping[str, float] | None,
     """
     del tell
     specimen, target = _target(text, name, folder)
-    names, rng = target.parameters.names, np.random.default_rng(0)
+    names, scores = target.parameters.names, target.scores
     if optimum is not None and set(optimum) == set(names):
-        found = find_optima(target, np.array([[optimum[n] for n in names]]))[0]
+        last = scores.to_z(np.array([[optimum[n] for n in names]]))
+        found = find_optima(target, last, log2_draws=0, settings=POLISHED)
     else:
-        found = find_optima(target, target.parameters.sample(rng, _STARTS), rng, draws=_STARTS)[0]
+        found = find_optima(target, np.empty((0, len(names))), settings=POLISHED)
+    x = scores.to_x(found.z[0])
     measured = target.measurement.frequencies
     n = len(target.model.parameters.names)
-    predicted = target.model.predict(found.x[None, :n]).frequencies[0]
+    predicted = target.model.predict(x[None, :n]).frequencies[0]
     nearest = np.abs(np.log(predicted[:, None] / measured)).argmin(axis=0)
     predicted = predicted[: len(measured)] if target.measurement.complete else predicted[nearest]
     excess = misfit_over_noise(target.measurement, predicted / measured - 1.0, specimen.unknowns.size)
-    sd = excess * np.sqrt(np.diag(gauss_newton_covariance(target, found.x)))
+    sd = excess * np.sqrt(np.diag(gauss_newton_covariance(target, x)))
     constants = []
     for unknown in specimen.unknowns.names:
         i, prior = names.index(unknown), specimen.unknowns[unknown].prior
-        value, spread = float(found.x[i]), float(sd[i])
+        value, spread = float(x[i]), float(sd[i])
         bound = bound_of(value, prior.lower, prior.upper)
         ends = (max(value - _REACH * spread, prior.lower), min(value + _REACH * spread, prior.upper))
         reference = float(specimen.material.complete()[unknown])
@@ -227,7 +230,7 @@ def live(text: str, name: str, folder: str, optimum: Mapping[str, float] | None,
         "constants": _constants(constants),
         "rows": _rows(rows),
         "rms": 100.0 * float(np.sqrt(np.mean((predicted / measured - 1.0) ** 2))),
-        "optimum": dict(zip(names, found.x.tolist(), strict=True)),
+        "optimum": dict(zip(names, x.tolist(), strict=True)),
     }
 
 

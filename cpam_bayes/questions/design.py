@@ -36,7 +36,6 @@ from cpam_bayes.identification.specimen_design import (
     geometries,
     measured_like,
     needed_std,
-    prior_sd,
     response_of,
     specimen_of,
 )
@@ -196,7 +195,7 @@ def design(
     ):
         done = counted(lambda n, total: shown.tick(n, float(n)), len(made))
         responses = run(_response, (specimen, max(numbers)), made, pool, on_result=done)
-    prior = prior_sd(unknowns)
+    prior = unknowns.prior_sd
     wanted = np.array([name in asked for name in unknowns.names])
     n_present = measured_modes(specimen)
     candidates = [

@@ -20,10 +20,12 @@ from scipy.stats import qmc
 from cpam_bayes.forward_model.known_errors import TolerantModel
 from cpam_bayes.forward_model.model import ForwardModel, PlateModel
 from cpam_bayes.forward_model.reduced import ReducedModel, focused
-from cpam_bayes.inference.derivatives import Expansion, NormalScores, expand_likelihood
-from cpam_bayes.inference.laplace import maximise, promised_gain
+from cpam_bayes.inference.importance import Rounds, importance
+from cpam_bayes.inference.laplace import log_volume
+from cpam_bayes.inference.optimise import maximise, promised_gain
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
-from cpam_bayes.inference.student_mixture import Mixture, shrunk_moments, staged_importance
+from cpam_bayes.inference.scores import Expansion, NormalScores, distinct
+from cpam_bayes.inference.student_mixture import Mixture
 from cpam_bayes.mechanics.problem import PlateState, StateFunction, Values
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
 from cpam_bayes.plate.laminate import LaminateGeometry
@@ -50,8 +52,8 @@ _LIGHT, _HEAVY = (6.0, 1.1), (3.0, 1.3)
 _KEPT = 32
 # Points of importance sampling that are solved for together.
 _POINTS = 2048
-# Fractions of the points that each proposal gets where it is refitted.
-_STAGES = (0.25, 0.25, 0.5)
+# Rounds, log2, between which proposals are refitted.
+_LOG2_ROUNDS = 2
 # Unsure evidences get 2^m times as many points, for each m in turn while they stay so.
 _MORE = (2, 4)
 # Basis for one sequence: sets of constants that it is made from, how much wider than the posterior they
@@ -305,8 +307,9 @@ def _fit(
     value = np.where(np.isfinite(e.value), e.value, -1e300).reshape(m, s)
     z = maxima.u.reshape(m, s, n)
     curvature = e.curvature.reshape(m, s, n, n)
-    log_z = value + _log_volume(curvature)
-    log_z[~_distinct(z, value, curvature)] = -np.inf
+    flat = CURVATURE_FLOOR * np.eye(n)
+    of = distinct(z, value, curvature, _SAME, depth=_NEGLIGIBLE_NATS)
+    log_z = np.where(of == np.arange(s), value + log_volume(curvature + flat), -np.inf)
     total = logsumexp(log_z, axis=1)
     x = axes.to_x(z[np.arange(m), value.argmax(axis=1)])
     at = replace(conditional.template, model=conditional.model_at(geometry))
@@ -315,18 +318,11 @@ def _fit(
     return ConditionalFits(total, x, residual, z, np.exp(log_z - total[:, None]), curvature)
 
 
-def _log_volume(curvature: Array) -> Array:
-    """Log integral of Gaussians with negative Hessians (..., n, n) and the height one, (...)."""
-    n = curvature.shape[-1]
-    log_det = np.linalg.slogdet(curvature + CURVATURE_FLOOR * np.eye(n))[1]
-    return np.asarray(0.5 * n * np.log(2 * np.pi) - 0.5 * log_det)
-
-
 def _stays_below(floor: float, e: Expansion) -> Array:
     """Whether Laplace's log evidence at the optimum stays below a floor, by far more than is promised."""
     matrix = e.curvature + CURVATURE_FLOOR * np.eye(e.gradient.shape[1])
     promised = promised_gain(e.gradient, matrix)
-    return np.asarray(e.value + _UNFORESEEN * promised + _log_volume(e.curvature) < floor)
+    return np.asarray(e.value + _UNFORESEEN * promised + log_volume(matrix) < floor)
 
 
 def _expand(
@@ -342,26 +338,10 @@ def _expand(
     if not len(inside):
         return found
     model = conditional.model_at(_rows(geometry, rows[inside]))
-    likelihood = expand_likelihood(replace(conditional.template, model=model), x[inside])
+    likelihood = replace(conditional.template, model=model).expand_likelihood(x[inside])
     e = axes.with_prior(likelihood, x[inside], z[inside])
     found.value[inside], found.gradient[inside], found.curvature[inside] = e.value, e.gradient, e.curvature
     return found
-
-
-def _distinct(z: Array, value: Array, curvature: Array) -> Array:
-    """True for the optima (m, s) that count: no copies of better ones and not negligible, bool."""
-    m, s = value.shape
-    order = np.argsort(-value, axis=1, kind="stable")
-    keep = np.asarray(value > value.max(axis=1, keepdims=True) - _NEGLIGIBLE_NATS)
-    row = np.arange(m)
-    for a in range(s):
-        first = order[:, a]
-        for b in range(a + 1, s):
-            second = order[:, b]
-            away = z[row, first] - z[row, second]
-            near = np.einsum("mi,mij,mj->m", away, curvature[row, first], away) < _SAME**2
-            keep[row, second] &= ~(near & keep[row, first])
-    return keep
 
 
 @dataclass(frozen=True, slots=True)
@@ -418,11 +398,8 @@ def importance_evidence(
 ) -> Conditionals:
     """Conditional posteriors of sequences by importance sampling about their optima.
 
-    The proposal is a mixture of Student-t densities about the optima. Of 128 points or more a quarter is
-    spent on it; its components then take mean and covariance of the posterior that these found, and
-    once more after the next quarter. All points are weighed against the blend of the proposals (Cornuet
-    et al., 2012). They are those of a Sobol sequence, scrambled in the same way for every sequence, so
-    that differences between sequences are known better than each alone. Evidences of 512 points and
+    The proposal is a mixture of Student-t densities about the optima, refitted after each quarter of 128
+    points or more, see ``importance``. Evidences of 512 points and
     more that stay unsure are sampled again with four times as many, and with sixteen times, where solves
     are slow on bases that are made for each.
     """
@@ -494,17 +471,25 @@ def _importance(
     log2_points: int,
     settings: RefinementSettings,
 ) -> Conditionals:
-    stages = _STAGES if log2_points >= settings.refitted_from else (1.0,)
-    target = partial(_log_density, conditional, angles_deg)
+    log2_rounds = _LOG2_ROUNDS if log2_points >= settings.refitted_from else 0
     freedom, wider = _HEAVY if log2_points >= settings.resampled_from else _LIGHT
-    refitted = partial(shrunk_moments, least=_LEAST_FRACTION, wider=wider, prior_points=_PRIOR_POINTS)
-    found = staged_importance(target, _about_optima(fits, freedom, wider), log2_points, stages, refitted)
+    rounds = Rounds(
+        log2_points - log2_rounds,
+        most=1 << log2_rounds,
+        enough=np.inf,
+        good=np.inf,
+        least_share=_LEAST_FRACTION,
+        wider=wider,
+        prior_points=_PRIOR_POINTS,
+    )
+    target = partial(_log_density, conditional, angles_deg)
+    found, _ = importance(target, _about_optima(fits, freedom, wider), rounds)
     x = conditional.axes.to_x(found.points)
     mean = np.einsum("mp,mpj->mj", found.weight, x)
     sd = np.sqrt(np.einsum("mp,mpj->mj", found.weight, (x - mean[:, None, :]) ** 2))
     # systematic resampling over the points as the Sobol sequence has them, which is as good as at random; all
     # sequences have the same points: each begins elsewhere, so that together they do not err alike
-    begin = (angles_deg @ np.sqrt(np.arange(2.0, 2.0 + angles_deg.shape[1]))) % 1.0
+    begin = (0.5 + angles_deg @ np.sqrt(np.arange(2.0, 2.0 + angles_deg.shape[1]))) % 1.0
     places = (np.arange(_KEPT) + begin[:, None, None]) / _KEPT
     kept = np.sum(np.cumsum(found.weight, axis=1)[:, :, None] < places, axis=1)
     draws = x[np.arange(len(x))[:, None], np.minimum(kept, x.shape[1] - 1)]

@@ -38,10 +38,8 @@ from cpam_bayes.inference.ensemble import (
     sample,
     start_positions,
 )
-from cpam_bayes.inference.posterior import Posterior
-from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, adapted
-from cpam_bayes.inference.sampling import arviz_data, by_user_name, hashed, swarm_on_posterior
-from cpam_bayes.inference.student_mixture import Weighted, weighted
+from cpam_bayes.inference.importance import Rounds
+from cpam_bayes.inference.sampling import arviz_data, by_user_name, hashed, sampled_about, swarm_on_posterior
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.parallel import counted, run
 from cpam_bayes.plate import Measurement, Specimen, angle_grid
@@ -259,8 +257,8 @@ class MixtureSettings:
     """How the mixture is sampled.
 
     least : probability of a class from which on it is sampled by emcee; the most probable one always is.
-    ensembles, swarm, proposal : of each class.
-    points : of the importance sampling that each is compared with.
+    ensembles, swarm : of each class.
+    rounds : of the importance sampling that each is compared with, and whose proposal its chains jump to.
     draws : of the whole mixture.
     """
 
@@ -271,10 +269,7 @@ class MixtureSettings:
         )
     )
     swarm: SwarmSettings = field(default_factory=lambda: SwarmSettings(particles=16, iterations=20))
-    proposal: AdaptationSettings = field(
-        default_factory=lambda: AdaptationSettings(rounds=3, draws=700, components=4)
-    )
-    points: int = 2000
+    rounds: Rounds = Rounds(log2_points=9, most=8, least=2, enough=1500.0, steady=0.02)  # noqa: RUF009
     draws: int = 4000
 
 
@@ -443,19 +438,18 @@ def _sampled(shared: tuple[ConditionalPosterior, MixtureSettings], item: Item) -
     # the optima first, then the particles from the best on: their misfits only order them
     walkers = start_positions(posterior, starts, np.arange(len(starts), dtype=float), n_walkers, rng)
     start = walkers.reshape(settings.ensembles.ensembles, settings.ensembles.walkers, -1)
-    proposal = adapted(posterior, optima, seed, settings.proposal)
+    proposal, found, _ = sampled_about(posterior, optima, settings.rounds)
     chains = sample(posterior, start, seed, settings.ensembles, proposal=proposal)
-    importance, sampled_moments = _importance(posterior, proposal, settings.points, rng)
     return SampledComponent(
         index=index,
         draws=thinned(chains).flat,
         diagnostics=chains.diagnostics,
         chains=_moments_of_chains(chains),
-        importance=importance,
-        log_evidence=float(sampled_moments.log_evidence[0]),
-        log_evidence_error=float(sampled_moments.standard_error[0]),
-        effective=float(sampled_moments.effective_size[0]),
-        k_hat=float(sampled_moments.k_hat[0]),
+        importance=_moments_of_weighted(posterior.scores.to_x(found.points[0]), found.weight[0]),
+        log_evidence=float(found.log_evidence[0]),
+        log_evidence_error=float(found.standard_error[0]),
+        effective=float(found.effective_size[0]),
+        k_hat=float(found.k_hat[0]),
     )
 
 
@@ -466,19 +460,14 @@ def _moments_of_chains(chains: EnsembleResult) -> Moments:
     return Moments(mean, sd, sd / np.sqrt(effective), sd * np.sqrt((kurtosis - 1.0) / (4.0 * effective)))
 
 
-def _importance(
-    posterior: Posterior, proposal: Proposal, points: int, rng: np.random.Generator
-) -> tuple[Moments, Weighted]:
-    """Moments by importance sampling from a proposal, and its weighted draws."""
-    x = proposal.draw(points, rng)
-    moments = weighted(x[None], (posterior.log_prob(x) - proposal.log_density(x))[None])
-    normalised = moments.weight[0][:, None]
-    mean = np.sum(normalised * x, axis=0)
+def _moments_of_weighted(x: Array, weight: Array) -> Moments:
+    """Moments of weighted draws (p, n), (p,)."""
+    mean = weight @ x
     deviation = x - mean
-    sd = np.sqrt(np.sum(normalised * deviation**2, axis=0))
-    mean_error = np.sqrt(np.sum((normalised * deviation) ** 2, axis=0))
-    sd_error = np.sqrt(np.sum((normalised * (deviation**2 - sd**2)) ** 2, axis=0)) / (2.0 * sd)
-    return Moments(mean, sd, mean_error, sd_error), moments
+    sd = np.sqrt(weight @ deviation**2)
+    mean_error = np.sqrt(weight**2 @ deviation**2)
+    sd_error = np.sqrt(weight**2 @ (deviation**2 - sd**2) ** 2) / (2.0 * sd)
+    return Moments(mean, sd, mean_error, sd_error)
 
 
 def _combined(

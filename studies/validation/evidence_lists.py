@@ -15,8 +15,8 @@ from cpam_bayes.diagnosis.comparison import SCATTER, PlateCase, comparison_of
 from cpam_bayes.diagnosis.evidence.marginal import Tested
 from cpam_bayes.diagnosis.evidence.weighing import weigh
 from cpam_bayes.diagnosis.hypotheses import OTHER, Hypothesis
-from cpam_bayes.inference.derivatives import NormalScores
-from cpam_bayes.inference.log_density import LogDensity
+from cpam_bayes.inference.log_density import CorrelatedDensity
+from cpam_bayes.inference.scores import NormalScores
 from cpam_bayes.plate import Material, Measurement, Specimen, builtin, read_plate
 
 Array = NDArray[Any]
@@ -124,7 +124,7 @@ def at_random_place(h: Hypothesis, rng: np.random.Generator) -> Hypothesis:
 
 
 def size_for(
-    case: PlateCase, comparison: LogDensity, x: Array, column: int, most: float, signal: float
+    case: PlateCase, comparison: CorrelatedDensity, x: Array, column: int, most: float, signal: float
 ) -> float | None:
     """The smallest size with a signal to noise; None where it is not reached by ``most``.
 

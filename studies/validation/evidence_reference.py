@@ -10,16 +10,24 @@ importance sample, which is refitted and enlarged until its error is small.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion
-from cpam_bayes.inference.laplace import maximise
-from cpam_bayes.inference.log_density import LogDensity
-from cpam_bayes.inference.student_mixture import Mixture, shrunk_moments, staged_importance
+from cpam_bayes.inference.log_density import CorrelatedDensity
+from cpam_bayes.inference.optimise import maximise
+from cpam_bayes.inference.scores import MAX_SCORE, Expansion
+from cpam_bayes.inference.student_mixture import (
+    Mixture,
+    Weighted,
+    log_blend,
+    shrunk_moments,
+    sobol_points,
+    weighted,
+)
 from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
@@ -81,7 +89,7 @@ class _Drawn:
 
 @single_blas_thread
 def reference_evidence(
-    comparison: LogDensity,
+    comparison: CorrelatedDensity,
     sizes: tuple[int, ...],
     seed: int,
     settings: ReferenceSettings | None = None,
@@ -104,12 +112,8 @@ def reference_evidence(
         for part, more in zip((centre, factor, log_mass), at_nodes, strict=True):
             part.append(more)
     mixture = _proposal(np.concatenate(centre), np.concatenate(factor), np.concatenate(log_mass))
-
-    def log_density(points: Array) -> Array:
-        return comparison.log_density(points[0])[None]
-
     for log2 in range(settings.log2_points[0], settings.log2_points[1] + 1):
-        sample = staged_importance(log_density, mixture, log2, _STAGES, _refitted)
+        sample = _in_stages(comparison, mixture, log2)
         if sample.standard_error[0] < settings.error:
             break
     return ReferenceEvidence(
@@ -121,7 +125,7 @@ def reference_evidence(
     )
 
 
-def _draws(comparison: LogDensity, sizes: tuple[int, ...], m: int, rng: np.random.Generator) -> _Drawn:
+def _draws(comparison: CorrelatedDensity, sizes: tuple[int, ...], m: int, rng: np.random.Generator) -> _Drawn:
     z = rng.standard_normal((m, comparison.parameters.size))
     if sizes:
         z[::2, sizes[0]] = rng.uniform(-_REACH, _REACH, len(z[::2]))
@@ -143,7 +147,7 @@ def _ranked(drawn: _Drawn) -> Array:
     return np.asarray(drawn.z[np.unique(np.concatenate(which))])
 
 
-def _optimised(comparison: LogDensity, z: Array, held: tuple[int, ...]) -> tuple[Array, Expansion]:
+def _optimised(comparison: CorrelatedDensity, z: Array, held: tuple[int, ...]) -> tuple[Array, Expansion]:
     """Where optimisations from scores (m, n) end, those of some columns held."""
     free = np.delete(np.arange(z.shape[1]), held)
     bound = np.full(len(free), MAX_SCORE)
@@ -180,7 +184,7 @@ def _log_mass(e: Expansion) -> Array:
 
 
 def _at_nodes(
-    comparison: LogDensity,
+    comparison: CorrelatedDensity,
     sizes: tuple[int, ...],
     drawn: _Drawn,
     optima: Array,
@@ -234,5 +238,18 @@ def _proposal(centre: Array, factor: Array, log_mass: Array) -> Mixture:
     return Mixture(share[None], centres[None], factors[None], _FREEDOM)
 
 
-def _refitted(mixture: Mixture, points: Array, log_weight: Array) -> Mixture:
-    return shrunk_moments(mixture, points, log_weight, least=1e-3, wider=1.1, prior_points=6.0)
+def _in_stages(comparison: CorrelatedDensity, mixture: Mixture, log2_points: int) -> Weighted:
+    """An importance sample in four stages, the proposal refitted to all points after each."""
+    stops = np.cumsum([0, *(round(stage * (1 << log2_points)) for stage in _STAGES)]).tolist()
+    n = mixture.centre.shape[2]
+    mixtures: list[Mixture] = []
+    points, target = np.empty((1, 0, n)), np.empty((1, 0))
+    for first, last in pairwise(stops):
+        mixtures.append(mixture)
+        more = sobol_points(mixture, log2_points, slice(first, last))
+        points = np.concatenate((points, more), axis=1)
+        target = np.concatenate((target, comparison.log_density(more[0])[None]), axis=1)
+        sizes = np.diff(stops)[: len(mixtures)].tolist()
+        log_weight = target - log_blend(mixtures, sizes, points)
+        mixture = shrunk_moments(mixture, points, log_weight, least=1e-3, wider=1.1, prior_points=6.0)
+    return weighted(points, log_weight)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from cpam_bayes.inference.derivatives import NormalScores
-from cpam_bayes.inference.log_density import LogDensity
+from cpam_bayes.inference.log_density import CorrelatedDensity
+from cpam_bayes.inference.scores import NormalScores
 from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
@@ -60,7 +60,7 @@ def nested_of_scores(
 
 
 def nested_of_density(
-    density: LogDensity, rng: np.random.Generator, *, live_points: int = 200
+    density: CorrelatedDensity, rng: np.random.Generator, *, live_points: int = 200
 ) -> tuple[float, float]:
     """The log evidence of a log density over normal scores, and its error by nested sampling itself."""
     return nested_of_scores(

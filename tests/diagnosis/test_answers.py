@@ -18,7 +18,7 @@ from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Claim, Hypothesis, clai
 from cpam_bayes.diagnosis.signatures import Signature, alike, cosine, nearest_of, projector_of, signature_of
 from cpam_bayes.effects import Effect, ListChange
 from cpam_bayes.effects.effect import MISREADING
-from cpam_bayes.inference.log_density import LogDensity
+from cpam_bayes.inference.log_density import CorrelatedDensity
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from cpam_bayes.priors import Prior
 from tests.diagnosis import toy_plates as toy
@@ -178,10 +178,10 @@ def test_a_step_to_where_the_plate_buckles_is_not_taken(monkeypatch: pytest.Monk
     tested = weighed_list(f, NOTHING, NOISE)
     whole = explains(tested)
 
-    def buckled(self: LogDensity, x: Array) -> tuple[Array, Array, None]:
+    def buckled(self: CorrelatedDensity, x: Array) -> tuple[Array, Array, None]:
         return np.empty(0, dtype=int), np.empty((0, len(f))), None
 
-    monkeypatch.setattr(LogDensity, "predict_inside", buckled)
+    monkeypatch.setattr(CorrelatedDensity, "predict_inside", buckled)
     # the optimum itself is left, a step of Gauss and Newton from it changes nothing
     assert explains(tested) == pytest.approx(whole, rel=1e-3)
 

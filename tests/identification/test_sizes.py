@@ -22,8 +22,7 @@ from cpam_bayes.forward_model.reduced import basis_error
 from cpam_bayes.identification.point import LEAST_WIDENING, reliances
 from cpam_bayes.identification.search import start_of
 from cpam_bayes.inference.ensemble import EnsembleSettings
-from cpam_bayes.inference.laplace import gauss_newton_covariance
-from cpam_bayes.inference.posterior import Posterior, plate_posterior
+from cpam_bayes.inference.posterior import Posterior, gauss_newton_covariance, plate_posterior
 from cpam_bayes.inference.sampling import _narrowed as narrowed
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.plate import Specimen, parse_specimen, read_specimen

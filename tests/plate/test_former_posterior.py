@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 
 import cpam_bayes as cb
 from cpam_bayes.errors import PlateFileError
-from cpam_bayes.inference.derivatives import Expansion, NormalScores
+from cpam_bayes.inference.scores import Expansion, NormalScores
 from cpam_bayes.parameters import ParameterSet
 from tests.plate_file import described
 from tests.posteriors import write_posterior

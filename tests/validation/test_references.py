@@ -10,7 +10,7 @@ from cpam_bayes.diagnosis.comparison import SCATTER, comparison_of
 from cpam_bayes.diagnosis.evidence.sampled import sampled_near_the_best
 from cpam_bayes.diagnosis.evidence.scan import Scan, Trial
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
-from cpam_bayes.inference.log_density import LogDensity
+from cpam_bayes.inference.log_density import CorrelatedDensity
 from cpam_bayes.plate import Measurement, builtin
 from tests.diagnosis.toy_plates import (
     BUMP,
@@ -70,7 +70,7 @@ def test_a_task_or_a_likelihood_that_fails_fails_the_whole_and_hangs_nothing() -
         without.map(lambda i: without.value(np.array([float(i)])), range(3))
 
 
-def bent_plate(size: float, sd: float = 0.02) -> tuple[LogDensity, float]:
+def bent_plate(size: float, sd: float = 0.02) -> tuple[CorrelatedDensity, float]:
     """The toy plate with a bump of a size in its list and its prior: its density and exact log evidence."""
     f = F0 * (1.0 + A @ np.array([0.03, -0.04]) + size * BUMP) * (1.0 + NOISE * NOISE_DRAWN)
     bent = cause("bent", whole_normal(sd))

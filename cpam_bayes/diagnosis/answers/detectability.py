@@ -22,7 +22,6 @@ from scipy.stats import qmc
 
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
-from cpam_bayes.diagnosis.evidence.optima import SIZE_RANGE
 from cpam_bayes.diagnosis.evidence.sampled import shared_out
 from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed
 from cpam_bayes.diagnosis.hypotheses import (
@@ -35,7 +34,8 @@ from cpam_bayes.diagnosis.hypotheses import (
     prior_by_cause,
 )
 from cpam_bayes.diagnosis.signatures import ABSORBED, ALIKE, AS_WELL, HARDLY
-from cpam_bayes.inference.log_density import LogDensity
+from cpam_bayes.inference.laplace import SIZE_RANGE
+from cpam_bayes.inference.log_density import CorrelatedDensity
 from cpam_bayes.inference.student_mixture import log_sum_exp
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter
@@ -361,7 +361,7 @@ def _has_no_line(t: Tested) -> bool:
     return t.hypothesis.cause in (NONE, OTHER) or t.hypothesis.other_material or is_one_step
 
 
-def _linear(comparison: LogDensity, x: Array) -> tuple[Array, Array]:
+def _linear(comparison: CorrelatedDensity, x: Array) -> tuple[Array, Array]:
     """d ln f / d z of the constants (n_f, n_free), and the mean (n_f,) of ln f - ln f(x) over their prior."""
     free = np.delete(np.arange(len(x)), comparison.nuisance)
     x = np.clip(x, comparison.parameters.lower, comparison.parameters.upper)
@@ -372,12 +372,12 @@ def _linear(comparison: LogDensity, x: Array) -> tuple[Array, Array]:
     return by_score, -by_score @ z[0, free]
 
 
-def _sd(comparison: LogDensity, x: Array) -> Array:
+def _sd(comparison: CorrelatedDensity, x: Array) -> Array:
     """Noise (m, n_f) of the log frequencies at parameters (m, n)."""
     return np.asarray(np.sqrt(comparison.variance(x)) / comparison.listed.frequencies)
 
 
-def _covariance(comparison: LogDensity, x: Array) -> Array:
+def _covariance(comparison: CorrelatedDensity, x: Array) -> Array:
     """Covariance of the log frequencies at parameters (n,), (n_f, n_f)."""
     f = comparison.listed.frequencies
     return np.asarray(comparison.covariance(x[None])[0] / np.outer(f, f))

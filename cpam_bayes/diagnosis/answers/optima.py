@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.evidence.weighing import Tested, Weighed
 from cpam_bayes.diagnosis.hypotheses import Claim
-from cpam_bayes.inference.proposal import maximised
+from cpam_bayes.inference.laplace import maximised
 from cpam_bayes.mechanics.problem import Array
 
 # Fraction of the posterior from which an optimum is reported; nodes that optima are sought from, and the

@@ -15,19 +15,11 @@ import numpy as np
 from scipy.special import logsumexp
 
 from cpam_bayes.diagnosis.comparison import PlateCase, effect_columns
-from cpam_bayes.diagnosis.evidence.optima import (
-    SEARCH,
-    SIZE_RANGE,
-    conditional_optima,
-    find_optima,
-    size_points,
-    spread_scores,
-)
+from cpam_bayes.diagnosis.evidence.nodes import conditional_optima, size_points
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
-from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion
-from cpam_bayes.inference.laplace import maximise
-from cpam_bayes.inference.log_density import LogDensity
-from cpam_bayes.inference.proposal import Optima, about
+from cpam_bayes.inference.importance import about
+from cpam_bayes.inference.laplace import SEARCH, SIZE_RANGE, Optima, find_optima, maximised, spread_scores
+from cpam_bayes.inference.log_density import CorrelatedDensity
 from cpam_bayes.inference.student_mixture import Mixture, sobol_points
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter
@@ -62,7 +54,7 @@ class Marginal:
     draws, log_weight : (d, n) parameters and (d,) their normalised log weights
     """
 
-    comparison: LogDensity
+    comparison: CorrelatedDensity
     sizes: tuple[int, ...]
     log_evidence: float
     error: float
@@ -99,7 +91,7 @@ class Marginal:
 
 @single_blas_thread
 def laplace_marginal(
-    comparison: LogDensity,
+    comparison: CorrelatedDensity,
     sizes: tuple[int, ...],
     known: Array,
     *,
@@ -116,7 +108,8 @@ def laplace_marginal(
 
     The draws are those of the Laplace approximation.
     """
-    optima = find_optima(comparison, sizes, known, log2_draws=log2_draws, least=least)
+    even = sizes[0] if sizes else None
+    optima = find_optima(comparison, known, even=even, log2_draws=log2_draws, least=least)
     open_sizes = _not_determined(optima, tuple(s for s in sizes if s not in smooth))
     if float(logsumexp(optima.log_mass)) < least:
         open_sizes = ()
@@ -148,7 +141,7 @@ def _not_determined(optima: Optima, sizes: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _over_nodes(
-    comparison: LogDensity, columns: tuple[int, ...], has_size: bool, optima: Optima
+    comparison: CorrelatedDensity, columns: tuple[int, ...], has_size: bool, optima: Optima
 ) -> tuple[Array, Array, Array]:
     """Centres, square roots of covariances and log masses of components that fill the priors of open sizes.
 
@@ -178,7 +171,7 @@ def _over_nodes(
 
 
 def _marginal(
-    comparison: LogDensity, sizes: tuple[int, ...], z: Array, factor: Array, log_mass: Array
+    comparison: CorrelatedDensity, sizes: tuple[int, ...], z: Array, factor: Array, log_mass: Array
 ) -> Marginal:
     """Of components about optima and nodes, with their log masses (k,)."""
     kept, proposal = about(z, factor, log_mass)
@@ -222,7 +215,7 @@ class ShiftTable:
     shift: Array
 
 
-def size_nodes(comparison: LogDensity, sizes: tuple[int, ...]) -> tuple[Array, Array]:
+def size_nodes(comparison: CorrelatedDensity, sizes: tuple[int, ...]) -> tuple[Array, Array]:
     """Nodes (k, d) of an effect's sizes in normal scores and the logs (k,) of their prior weights.
 
     An effect without a size has one node.
@@ -241,7 +234,7 @@ def size_nodes(comparison: LogDensity, sizes: tuple[int, ...]) -> tuple[Array, A
 
 
 def shift_table(
-    comparison: LogDensity, effect: Sequence[Parameter], sizes: tuple[int, ...], about: Marginal
+    comparison: CorrelatedDensity, effect: Sequence[Parameter], sizes: tuple[int, ...], about: Marginal
 ) -> ShiftTable:
     """Shifts by an effect at the optimum of another hypothesis; what that lacks is at its prior median.
 
@@ -295,7 +288,7 @@ class Tested:
     log_bayes_factor: float = 0.0
     shift: ShiftTable | None = None
     cases: tuple[PlateCase, ...] = ()
-    as_plain: LogDensity | None = None
+    as_plain: CorrelatedDensity | None = None
 
     @property
     def columns(self) -> tuple[int, ...]:
@@ -353,21 +346,8 @@ def best_log_likelihood(marginal: Marginal) -> float:
     n, n_model = comparison.parameters.size, comparison.model.parameters.size
     weight = np.where(np.arange(n) < n_model, 1.0 - _KEPT, 0.0)
 
-    def target(z: Array, rows: Array) -> Expansion:
-        del rows
-        e = comparison.expand(z)
-        return Expansion(
-            e.value + 0.5 * np.sum(weight * z**2, axis=1),
-            e.gradient + weight * z,
-            e.curvature - np.diag(weight),
-        )
-
     start = np.concatenate((marginal.z[:1], comparison.scores.to_z(marginal.resampled(_DRAWS))))
     start = start[np.argsort(-comparison.log_likelihood(comparison.scores.to_x(start)), kind="stable")]
-    bound = np.full(n, MAX_SCORE)
-    maxima = maximise(target, start[:_STARTS], -bound, bound, most_steps=_STEPS, promised=5e-2)
-    best = maxima.u[
-        int(np.argmax(np.where(np.isfinite(maxima.expansion.value), maxima.expansion.value, -np.inf)))
-    ]
+    best = maximised(comparison, start[:_STARTS], _STEPS, 5e-2, weight=weight).z[0]
     log_prior = -0.5 * float(np.sum(best[n_model:] ** 2))
     return float(comparison.log_likelihood(comparison.scores.to_x(best[None]))[0]) + log_prior

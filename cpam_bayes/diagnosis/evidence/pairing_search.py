@@ -23,11 +23,11 @@ from cpam_bayes.diagnosis.cases import (
     with_pairing,
 )
 from cpam_bayes.diagnosis.comparison import PlateCase, comparison_of
-from cpam_bayes.diagnosis.evidence.optima import SEARCH, coarse_misfit, prior_draws
 from cpam_bayes.diagnosis.hypotheses import NONE, Hypothesis
-from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion
-from cpam_bayes.inference.laplace import Maxima, maximise, promised_gain
-from cpam_bayes.inference.log_density import LogDensity, kept_of
+from cpam_bayes.inference.laplace import SEARCH, prior_draws
+from cpam_bayes.inference.log_density import CorrelatedDensity, coarse_misfit, kept_of
+from cpam_bayes.inference.optimise import Maxima, maximise, promised_gain
+from cpam_bayes.inference.scores import MAX_SCORE, Expansion
 from cpam_bayes.mechanics.problem import Array
 
 # Draws that each pairing is fitted from, those that go on, and the steps of both rounds.
@@ -52,7 +52,7 @@ class Repairing:
 
 
 def repairings(
-    plain: LogDensity, variants: Sequence[LogDensity], known: Array, sizes: tuple[int, ...] = ()
+    plain: CorrelatedDensity, variants: Sequence[CorrelatedDensity], known: Array, sizes: tuple[int, ...] = ()
 ) -> list[Repairing]:
     """Fits of pairings that have the parameters of a model, without any cause or with one.
 
@@ -66,9 +66,7 @@ def repairings(
     wide, offsets = all_modes(plain)
     index, mask, constant = _indices(plain, variants, offsets)
     listed = np.log(plain.listed.frequencies)
-    n_model = plain.model.parameters.size
-    draws = prior_draws(plain, sizes, SEARCH.log2_draws)
-    draws[:, n_model:] = 0.0
+    draws = prior_draws(plain, sizes[0] if sizes else None, SEARCH.log2_draws, 0.0)
     inside, f, _ = wide.predict_inside(plain.scores.to_x(draws))
     draws, log_f = draws[inside], np.log(f)
     starts = []
@@ -91,7 +89,7 @@ def repairings(
     return fits
 
 
-def all_modes(plain: LogDensity) -> tuple[LogDensity, list[int]]:
+def all_modes(plain: CorrelatedDensity) -> tuple[CorrelatedDensity, list[int]]:
     """The comparison with every mode of every plate as if it were listed, and where each plate's begin."""
     middle = plain.scores.to_x(np.zeros((1, plain.parameters.size)))
     sizes = [len(part.bare.predict(part.plate_vector(middle)).frequencies[0]) for part in plain.model.parts]
@@ -104,7 +102,7 @@ def all_modes(plain: LogDensity) -> tuple[LogDensity, list[int]]:
 
 
 def _indices(
-    plain: LogDensity, variants: Sequence[LogDensity], offsets: Sequence[int]
+    plain: CorrelatedDensity, variants: Sequence[CorrelatedDensity], offsets: Sequence[int]
 ) -> tuple[Array, Array, Array]:
     """Mode of every frequency (v, n_f), whether the model explains it, and log constants (v,)."""
     n = len(plain.listed.frequencies)
@@ -126,8 +124,8 @@ def _indices(
 
 
 def _maximised(
-    plain: LogDensity,
-    wide: LogDensity,
+    plain: CorrelatedDensity,
+    wide: CorrelatedDensity,
     z: Array,
     index: Array,
     mask: Array,
@@ -179,7 +177,9 @@ def _maximised(
     return maximise(target, z, -bound, bound, most_steps=steps, promised=1e-2, hopeless=hopeless, known=known)
 
 
-def _over_noise(plain: LogDensity, wide: LogDensity, z: Array, index: Array, mask: Array) -> Array:
+def _over_noise(
+    plain: CorrelatedDensity, wide: CorrelatedDensity, z: Array, index: Array, mask: Array
+) -> Array:
     """Log density of each fit at the best amplitude of an inferred noise, (m,)."""
     n_model = plain.model.parameters.size
     f = np.take_along_axis(wide.predict(plain.scores.to_x(z))[0], index, axis=1)
@@ -334,7 +334,7 @@ def _sought(
 def _from_draws(every: _EveryMode, case: PlateCase) -> list[Array]:
     """Pairings that are most probable at draws of the prior, with a large noise."""
     plain = every.listed
-    x = plain.scores.to_x(prior_draws(plain, (), _LOG2_DRAWS))
+    x = plain.scores.to_x(prior_draws(plain, None, _LOG2_DRAWS, SEARCH.first_noise))
     predicted = every.predict(x[plain.model.admissible(x)])
     proposed = []
     for noise in _COARSE_NOISE:
@@ -352,13 +352,13 @@ class _EveryMode:
     modes, frequencies : of the plate, among those of all plates
     """
 
-    listed: LogDensity
-    wide: LogDensity
+    listed: CorrelatedDensity
+    wide: CorrelatedDensity
     modes: slice
     frequencies: slice
 
     @staticmethod
-    def of(comparison: LogDensity, i: int, cases: Sequence[PlateCase]) -> _EveryMode:
+    def of(comparison: CorrelatedDensity, i: int, cases: Sequence[PlateCase]) -> _EveryMode:
         """The modes of the i-th plate."""
         wide, offsets = all_modes(comparison)
         last = offsets[i] + len(wide.model.parts[i].modes)
@@ -375,7 +375,7 @@ class _EveryMode:
         return np.asarray(np.sqrt(self.listed.variance(x))[:, self.frequencies])
 
 
-def _forgiving(comparison: LogDensity, relative: float) -> LogDensity:
+def _forgiving(comparison: CorrelatedDensity, relative: float) -> CorrelatedDensity:
     listed = comparison.listed
     variance = listed.variance + (relative * listed.frequencies) ** 2
     return replace(comparison, listed=replace(listed, variance=variance))

@@ -18,8 +18,8 @@ import numpy as np
 from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.evidence.marginal import Marginal, Tested
 from cpam_bayes.diagnosis.hypotheses import NONE
-from cpam_bayes.inference.log_density import LogDensity
-from cpam_bayes.inference.proposal import Rounds, adaptive_importance, refitted_moments
+from cpam_bayes.inference.importance import Rounds, importance
+from cpam_bayes.inference.log_density import CorrelatedDensity
 from cpam_bayes.inference.student_mixture import Weighted, sobol_points
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parallel import Lasting, ProcessPool, lasting, run
@@ -174,13 +174,13 @@ def sampled_marginal(marginal: Marginal, rounds: Rounds = CLOSE) -> Marginal:
     )
 
 
-def about_optima(marginal: Marginal) -> LogDensity:
+def about_optima(marginal: Marginal) -> CorrelatedDensity:
     """The comparison with models that are enough where the mixture about its optima proposes points."""
     points = sobol_points(marginal.proposal, _LOG2_TRAINING)[0]
     return marginal.comparison.about(points, _TOLERANCE, _FRACTION)
 
 
-def about_draws(marginal: Marginal) -> LogDensity:
+def about_draws(marginal: Marginal) -> CorrelatedDensity:
     """As ``about_optima``; the marginal's own comparison where that is not enough at its draws."""
     near = about_optima(marginal)
     x = marginal.draws[np.argsort(-marginal.log_weight, kind="stable")[:_COMPARED]]
@@ -188,14 +188,14 @@ def about_draws(marginal: Marginal) -> LogDensity:
     return near if apart.max() < _ALIKE_NATS else marginal.comparison
 
 
-def _sample(marginal: Marginal, comparison: LogDensity, rounds: Rounds) -> Weighted:
+def _sample(marginal: Marginal, comparison: CorrelatedDensity, rounds: Rounds) -> Weighted:
     def log_density(z: Array) -> Array:
         return comparison.log_density(z[0])[None]
 
-    return adaptive_importance(log_density, comparison.expand, marginal.proposal, refitted_moments, rounds)
+    return importance(log_density, marginal.proposal, rounds, comparison.expand)[0]
 
 
-def _are_alike(near: LogDensity, comparison: LogDensity, sample: Weighted) -> bool:
+def _are_alike(near: CorrelatedDensity, comparison: CorrelatedDensity, sample: Weighted) -> bool:
     """Whether two comparisons have the same log density at the points of most weight."""
     z = sample.points[0][np.argsort(-sample.weight[0], kind="stable")[:_COMPARED]]
     return bool(np.abs(near.log_density(z) - comparison.log_density(z)).max() < _ALIKE_NATS)

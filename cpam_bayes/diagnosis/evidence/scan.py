@@ -29,7 +29,6 @@ from cpam_bayes.diagnosis.evidence.marginal import (
     ranked,
     shift_table,
 )
-from cpam_bayes.diagnosis.evidence.optima import SEARCH
 from cpam_bayes.diagnosis.evidence.pairing_search import (
     Cases,
     PairedLists,
@@ -44,7 +43,8 @@ from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal, shared_out
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, Hypothesis, with_leftover
 from cpam_bayes.effects import ListChange
 from cpam_bayes.forward_model.composed import ComposedModel
-from cpam_bayes.inference.log_density import LogDensity
+from cpam_bayes.inference.laplace import SEARCH
+from cpam_bayes.inference.log_density import CorrelatedDensity
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.running import cut_short, is_time_up, time_limit
@@ -111,7 +111,7 @@ def marginal_of(
 
 
 def fitted(
-    comparison: LogDensity,
+    comparison: CorrelatedDensity,
     hypothesis: Hypothesis,
     starts: Array,
     *,
@@ -127,7 +127,7 @@ def fitted(
     return laplace_marginal(rough, sizes, marginal.z[:_FORM_STARTS], smooth=smooth, log2_draws=0, least=least)
 
 
-def plain_starts(comparison: LogDensity, none: Marginal | None) -> Array:
+def plain_starts(comparison: CorrelatedDensity, none: Marginal | None) -> Array:
     """Scores (s, n) of the plain model's optima and of the prior medians, zero for what it lacks.
 
     Sizes that can only add begin from hardly anything too: their medians may be gross errors.
@@ -462,7 +462,9 @@ class Scan:
                 found.append(replace(t, hypothesis=hypothesis, marginal=marginal, shift=None))
         return found
 
-    def density(self, hypothesis: Hypothesis, plates: tuple[int, ...], cases: Cases = ()) -> LogDensity:
+    def density(
+        self, hypothesis: Hypothesis, plates: tuple[int, ...], cases: Cases = ()
+    ) -> CorrelatedDensity:
         """The lists under a hypothesis about some plates, paired as in cases where these are given."""
         of_plates = about(self.cases, hypothesis, plates)
         return comparison_of(cases or self.cases, of_plates, scatter=self.scatter)
@@ -506,7 +508,7 @@ def is_repairing(hypothesis: Hypothesis) -> bool:
     return hypothesis.listed != ListChange() and not hypothesis.effects
 
 
-def with_misreading(comparison: LogDensity, starts: Array) -> Array:
+def with_misreading(comparison: CorrelatedDensity, starts: Array) -> Array:
     """Starts (s, n) of a pairing, with misread frequencies off by what the model lacks there."""
     starts, at = starts.copy(), 0
     for part in comparison.model.parts:

@@ -44,7 +44,7 @@ from cpam_bayes.diagnosis.hypotheses import (
     set_scales,
     together,
 )
-from cpam_bayes.inference.log_density import LogDensity
+from cpam_bayes.inference.log_density import CorrelatedDensity
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.running import cut_short, is_time_up
@@ -155,7 +155,7 @@ class _Candidate:
     hypothesis: Hypothesis
     plates: tuple[int, ...]
     cases: Cases
-    known: LogDensity
+    known: CorrelatedDensity
     starts: tuple[tuple[Array, tuple[tuple[Hypothesis, Array], ...]], ...]
 
     @property

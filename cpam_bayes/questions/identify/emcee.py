@@ -323,7 +323,7 @@ def _sampled(
     )
     sampling = time.perf_counter() - sampling
     notify("assessing the posterior")
-    evidence = evidence_of(fast, result, seed)
+    evidence = evidence_of(fast, result)
     evidence = reweighted(evidence, posterior, fast, result, seed)
     solves = begun.solves + result.solves + evidence.solves
     clock = start, sampling

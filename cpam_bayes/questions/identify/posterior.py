@@ -432,7 +432,7 @@ def _scores(result: SampledResult) -> list[tuple[str, str]]:
 def _evidence(result: SampledResult) -> str:
     e = result.evidence
     value = f"log evidence {e.log_evidence:.3f} +- {e.standard_error:.3f}, importance sampling"
-    sizes = f"{e.effective_size:.0f} effective of {e.n_draws} draws, k-hat {e.k_hat:.2f}"
+    sizes = f"{e.effective_size:.0f} effective of {e.solves} draws, k-hat {e.k_hat:.2f}"
     exact = f"on the whole basis {100.0 * e.exact_fraction:.4g} % of those of the chains"
     return f"{value} ({sizes}; {exact}){'' if e.status == 'reliable' else ': NOT reliable'}"
 

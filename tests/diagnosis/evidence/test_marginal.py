@@ -15,7 +15,7 @@ from cpam_bayes.diagnosis.evidence.marginal import Marginal, laplace_marginal
 from cpam_bayes.diagnosis.evidence.sampled import sampled_marginal
 from cpam_bayes.diagnosis.hypotheses import DISCREPANCY, OTHER, Hypothesis
 from cpam_bayes.effects import Effect, ListChange
-from cpam_bayes.inference.log_density import LogDensity
+from cpam_bayes.inference.log_density import CorrelatedDensity
 from cpam_bayes.parameters import ScaledStudentT
 from cpam_bayes.priors import Prior
 from tests.diagnosis import toy_plates as toy
@@ -28,20 +28,20 @@ SHIFTED = Hypothesis(OTHER, OTHER, parameters=(DISCREPANCY,), prior=0.06, correl
 SMOOTH = replace(SHIFTED, correlation_length=0.8)
 
 
-def rounded(relative: float | None, of: Hypothesis | None = None) -> LogDensity:
+def rounded(relative: float | None, of: Hypothesis | None = None) -> CorrelatedDensity:
     """A list that is rounded to 1 Hz, by default of a warped plate."""
     plate = case(toy.a_list(NOISY, relative, 1.0), [(NARROW_WARP, toy.even(BUMP))])
     return comparison_of([plate], of or hypothesis(NARROW_WARP))
 
 
-def two_lists(of: Hypothesis = PLAIN) -> LogDensity:
+def two_lists(of: Hypothesis = PLAIN) -> CorrelatedDensity:
     plates = [
         case(toy.a_list(f, None), name=name, specimen="one") for name, f in (("a", NOISY), ("b", 1.001 * F0))
     ]
     return comparison_of(plates, of)
 
 
-def without_the_third(comparison: LogDensity) -> LogDensity:
+def without_the_third(comparison: CorrelatedDensity) -> CorrelatedDensity:
     return replace(comparison, listed=comparison.listed.without(2), left_out=2)
 
 
@@ -60,12 +60,12 @@ CASES = {
 EVERY = pytest.mark.parametrize("comparison", CASES.values(), ids=CASES.keys())
 
 
-def scores(comparison: LogDensity, m: int = 3) -> Array:
+def scores(comparison: CorrelatedDensity, m: int = 3) -> Array:
     return 0.7 * np.random.default_rng(1).standard_normal((m, comparison.parameters.size))
 
 
 @EVERY
-def test_the_gradient_is_the_difference_quotient(comparison: LogDensity) -> None:
+def test_the_gradient_is_the_difference_quotient(comparison: CorrelatedDensity) -> None:
     for z in scores(comparison):
         expected = toy.differences(lambda v: comparison.log_density(v)[:, None], z, 1e-5)[0]
         found = comparison.expand(z[None])
@@ -75,7 +75,7 @@ def test_the_gradient_is_the_difference_quotient(comparison: LogDensity) -> None
 
 @EVERY
 def test_the_likelihood_is_that_of_the_covariance_and_a_frequency_given_the_others_a_ratio(
-    comparison: LogDensity,
+    comparison: CorrelatedDensity,
 ) -> None:
     x = comparison.scores.to_x(scores(comparison))
     f, covariance, listed = comparison.predict(x)[0], comparison.covariance(x), comparison.listed.frequencies
@@ -93,7 +93,7 @@ def test_the_likelihood_is_that_of_the_covariance_and_a_frequency_given_the_othe
 
 
 @EVERY
-def test_the_curvature_is_the_information_of_the_residuals(comparison: LogDensity) -> None:
+def test_the_curvature_is_the_information_of_the_residuals(comparison: CorrelatedDensity) -> None:
     """Of a Gaussian whose mean and covariance move, and of the prior, one in every score."""
     (z,), listed = scores(comparison, 1), comparison.listed.frequencies
 
@@ -177,7 +177,7 @@ def test_a_false_peak_lies_anywhere_below_the_last_frequency_and_missed_modes_mo
     np.testing.assert_array_equal(comparison.model.parts[0].modes, [0, 2, 3, 5, 6, 7])
 
 
-def constrained(comparison: LogDensity, below: float) -> LogDensity:
+def constrained(comparison: CorrelatedDensity, below: float) -> CorrelatedDensity:
     """The same where the first constant must be below a limit."""
     part = comparison.model.parts[0]
     cut = replace(part, bare=replace(part.bare, allowed=lambda x: x[:, 0] < below))  # type: ignore[type-var]
@@ -203,16 +203,18 @@ def test_points_that_break_the_constraints_have_no_density_and_the_priors_slope(
 ROUGHLY = 1.5
 
 
-def plain(f: Array, noise: float | None = NOISE) -> LogDensity:
+def plain(f: Array, noise: float | None = NOISE) -> CorrelatedDensity:
     return comparison_of([case(toy.a_list(f, noise))], PLAIN)
 
 
-def compared(f: Array, of: Effect, shift: Callable[..., object], noise: float | None = NOISE) -> LogDensity:
+def compared(
+    f: Array, of: Effect, shift: Callable[..., object], noise: float | None = NOISE
+) -> CorrelatedDensity:
     """A list under the hypothesis of a cause that shifts the modes so."""
     return comparison_of([case(toy.a_list(f, noise), [(of, shift)])], hypothesis(of))  # type: ignore[list-item]
 
 
-def weighed(comparison: LogDensity, sizes: tuple[int, ...] = (2,), least: float = -np.inf) -> Marginal:
+def weighed(comparison: CorrelatedDensity, sizes: tuple[int, ...] = (2,), least: float = -np.inf) -> Marginal:
     return laplace_marginal(comparison, sizes, np.zeros((1, comparison.parameters.size)), least=least)
 
 

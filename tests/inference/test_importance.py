@@ -1,52 +1,25 @@
 """Mixtures of Student-t densities, proposals made of them, and importance sampling by these."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from arviz_stats.base import array_stats
-from scipy.integrate import quad
-from scipy.special import log_ndtr
-from scipy.stats import chi2, multivariate_normal, multivariate_t, norm
+from scipy.stats import multivariate_t
 
-from cpam_bayes.inference.derivatives import MAX_SCORE, Expansion, NormalScores
+from cpam_bayes.inference.importance import Proposal, Rounds, importance
 from cpam_bayes.inference.posterior import Posterior, plate_posterior
-from cpam_bayes.inference.proposal import AdaptationSettings, Proposal, Rounds, adapted, adaptive_importance
-from cpam_bayes.inference.student_mixture import (
-    Mixture,
-    box_draws,
-    draw,
-    effective_size,
-    fit,
-    log_box_mass,
-    log_mixture,
-    log_student_t,
-    pareto_shape,
-    shrunk_moments,
-    single,
-    split,
-    staged_importance,
-    weighted,
-    widened,
-)
+from cpam_bayes.inference.sampling import JUMPS, sampled_about
+from cpam_bayes.inference.scores import MAX_SCORE, Expansion
+from cpam_bayes.inference.student_mixture import Mixture, effective_size, log_mixture, pareto_shape, weighted
 from cpam_bayes.parameters import TruncatedNormal, Uniform
 from cpam_bayes.priors import Prior
 from tests.linear_model import LinearModel, measurement
 from tests.toy_models import ToyModel, independent, listed, parameters, two_peaks
 
-PAIR = Mixture(
-    np.array([0.3, 0.7]),
-    np.array([[-3.0, 0.0], [3.0, 1.0]]),
-    np.linalg.cholesky(np.array([[[1.0, 0.3], [0.3, 0.5]], [[0.4, 0.0], [0.0, 2.0]]])),
-    5.0,
-)
-
-
 CENTRE = np.array([0.3, -0.5, 0.8])
 SCALE = np.array([[1.0, 0.6, -0.2], [0.6, 2.0, 0.5], [-0.2, 0.5, 0.7]])
-LOWER, UPPER = np.array([-1.0, -np.inf, 0.0]), np.array([2.0, 0.4, np.inf])
 
 
 @pytest.mark.parametrize("nu", [np.inf, 4.0])
@@ -56,77 +29,6 @@ def test_density_is_the_weighted_sum_of_parts_by_an_independent_program(nu: floa
     parts = [multivariate_t(c, s, df=nu).pdf(x) for c, s in zip(centres, scales, strict=True)]
     found = log_mixture(Mixture(share, np.stack(centres), np.linalg.cholesky(scales), nu), x)
     np.testing.assert_allclose(found, np.log(share @ parts), rtol=1e-12)
-
-
-def test_a_fit_finds_the_parts_of_weighted_draws() -> None:
-    even_shares = replace(PAIR, share=np.array([0.5, 0.5]))
-    x = draw(even_shares, 12_000, np.random.default_rng(2))
-    weights = np.exp(log_mixture(PAIR, x) - log_mixture(even_shares, x))
-    weights /= weights.sum()
-    found = fit(split(single(x, weights, 5.0), x, weights, 2), x, weights, 60)
-    order = np.argsort(found.centre[:, 0])
-    # thousands of points in each part: about 2 % of a standard deviation, 3 % of a variance
-    np.testing.assert_allclose(found.share[order], PAIR.share, atol=0.02)
-    np.testing.assert_allclose(found.centre[order], PAIR.centre, atol=0.15)
-    scales = found.factor[order] @ np.swapaxes(found.factor[order], 1, 2)
-    np.testing.assert_allclose(scales, PAIR.factor @ np.swapaxes(PAIR.factor, 1, 2), atol=0.15)
-
-
-def test_a_part_whose_axes_differ_by_many_orders_of_magnitude_is_halved() -> None:
-    factor = np.array([[1e11, 0.0], [1e10, 1e-3]])  # its smallest eigenvalue is lost in rounding
-    points = np.array([[1e11, 0.0], [-1e11, 0.1]])
-    halved = split(Mixture(np.ones(1), np.zeros((1, 2)), factor[None], 8.0), points, np.full(2, 0.5), 2)
-    assert np.all(np.isfinite(halved.centre))
-    assert np.ptp(halved.centre[:, 0]) > 1e11
-
-
-def test_a_wide_component_takes_its_share_and_lowers_no_other_further() -> None:
-    x = draw(PAIR, 2000, np.random.default_rng(4))
-    even = np.full(len(x), 1.0 / len(x))
-    wide = widened(PAIR, 0.1, 2.0, x, even)
-    assert wide.share.sum() == pytest.approx(1.0)
-    assert np.all(log_mixture(wide, x) >= log_mixture(PAIR, x) + np.log(0.9))
-    far = np.array([[40.0, -40.0]])
-    assert log_mixture(wide, far)[0] > log_mixture(PAIR, far)[0] + 1.0
-
-
-def test_gaussian_masses_of_a_stack_are_those_of_an_independent_program() -> None:
-    centres, scales = np.stack((CENTRE, -CENTRE)), np.stack((SCALE, 3.0 * SCALE))
-    found = log_box_mass(centres, scales, LOWER, UPPER)
-    for i, (centre, scale) in enumerate(zip(centres, scales, strict=True)):
-        expected = multivariate_normal.cdf(UPPER, centre, scale, lower_limit=LOWER, abseps=1e-8, releps=1e-8)
-        # the error of 2^10 points that the docstring states
-        assert found[i] == pytest.approx(np.log(expected), abs=1e-3)
-
-
-def test_student_t_mass_is_that_of_the_gaussians_it_mixes() -> None:
-    nu, sd = 5.0, np.array([1.0, 0.5])
-    lower, upper = np.array([-0.3, -1.0]), np.array([2.0, 0.2])
-
-    def given(w: float) -> float:
-        z = np.sqrt(w / nu)
-        return float(np.prod(norm.cdf(upper / sd * z) - norm.cdf(lower / sd * z)) * chi2.pdf(w, nu))
-
-    expected = np.log(quad(given, 0.0, np.inf)[0])
-    found = log_box_mass(np.zeros((1, 2)), np.diag(sd**2)[None], lower, upper, nu)
-    assert found[0] == pytest.approx(expected, abs=1e-3)
-
-
-def test_a_box_far_in_the_tail_keeps_its_digits() -> None:
-    centre = np.array([[60.0, -40.0]])
-    found = log_box_mass(centre, np.eye(2)[None], np.full(2, -np.inf), np.array([0.0, np.inf]))
-    assert found[0] == pytest.approx(float(log_ndtr(-60.0)), rel=1e-12)
-
-
-@pytest.mark.parametrize("nu", [np.inf, 5.0])
-def test_draws_lie_between_the_bounds_and_their_density_is_normalised(nu: float) -> None:
-    rng = np.random.default_rng(1)
-    x, log_q = box_draws(CENTRE, SCALE, LOWER, UPPER, nu, 40_000, rng)
-    assert np.all((x >= LOWER) & (x <= UPPER))
-    ratio = np.exp(log_student_t(x - CENTRE, np.linalg.cholesky(SCALE), nu) - log_q)
-    mass = np.exp(log_box_mass(CENTRE[None], SCALE[None], LOWER, UPPER, nu, 14)[0])
-    # importance sampling with these draws gives the mass: four of its standard errors
-    assert ratio.mean() == pytest.approx(mass, abs=4.0 * ratio.std() / np.sqrt(len(x)))
 
 
 LOG_OF = np.array([0.0, -40.0, 300.0])
@@ -139,14 +41,17 @@ def target(z: np.ndarray) -> np.ndarray:
     return LOG_OF[:, None] - 0.5 * squared - np.log(2.0 * np.pi) - 2.0 * np.log(width)
 
 
-def test_evidences_of_a_stack_are_found_within_their_errors_and_refitting_makes_weights_more_even() -> None:
-    def refit(mixture: Mixture, points: np.ndarray, log_weight: np.ndarray) -> Mixture:
-        return shrunk_moments(mixture, points, log_weight, least=0.1, wider=1.1, prior_points=3.0)
+ALL_ROUNDS = Rounds(9, most=4, enough=np.inf, good=np.inf, least_share=0.1, wider=1.1, prior_points=3.0)
 
+
+def test_evidences_of_a_stack_are_found_within_their_errors_and_refitting_makes_weights_more_even() -> None:
     centre = np.tile([[0.0, 0.0], [1.0, 0.5], [9.0, 9.0]], (3, 1, 1))
     proposal = Mixture(np.tile([0.7, 0.3, 0.0], (3, 1)), centre, np.tile(np.eye(2), (3, 3, 1, 1)), 5.0)
-    once, thrice = (staged_importance(target, proposal, 11, s, refit) for s in ((1.0,), (0.25, 0.25, 0.5)))
-    for found in (once, thrice):
+    once, again = (
+        importance(target, proposal, rounds)[0] for rounds in (Rounds(11, most=1, least=1), ALL_ROUNDS)
+    )
+    for found in (once, again):
+        assert found.points.shape == (3, 2048, 2)
         assert np.all(np.abs(found.log_evidence - LOG_OF) < 4.0 * found.standard_error)
         assert np.all(found.standard_error < 0.04)
         assert np.all(found.k_hat < 0.7)
@@ -155,15 +60,30 @@ def test_evidences_of_a_stack_are_found_within_their_errors_and_refitting_makes_
         np.testing.assert_allclose(found.effective_size, 1.0 / np.sum(weight**2, axis=1), rtol=1e-9)
         np.testing.assert_allclose(found.standard_error, weight.std(axis=1) * 2**5.5, rtol=1e-9)
         np.testing.assert_allclose(found.k_hat, [pareto_shape(w) for w in np.log(weight)], rtol=1e-9)
-    assert np.all(thrice.effective_size[1:] > 1.2 * once.effective_size[1:])
+    assert np.all(again.effective_size[1:] > 1.2 * once.effective_size[1:])
+
+
+def test_each_density_of_a_stack_has_what_it_has_alone() -> None:
+    centre = np.tile([[0.0, 0.0], [1.0, 0.5]], (3, 1, 1))
+    proposal = Mixture(np.tile([0.7, 0.3], (3, 1)), centre, np.tile(np.eye(2), (3, 2, 1, 1)), 5.0)
+    together, mixtures = importance(target, proposal, ALL_ROUNDS)
+    second = Mixture(proposal.share[1:2], proposal.centre[1:2], proposal.factor[1:2], 5.0)
+
+    def of_second(z: np.ndarray) -> np.ndarray:
+        return target(np.repeat(z, 3, axis=0))[1:2]
+
+    alone, mixture = importance(of_second, second, ALL_ROUNDS)
+    np.testing.assert_allclose(alone.log_evidence[0], together.log_evidence[1], rtol=1e-12)
+    np.testing.assert_allclose(mixture.factor[0], mixtures.factor[1], rtol=1e-9)
 
 
 def test_a_gaussian_proposal_that_is_the_target_leaves_no_error() -> None:
     gaussian = Mixture(np.ones((1, 1)), np.zeros((1, 1, 3)), np.eye(3)[None, None], np.inf)
-    found = staged_importance(lambda z: log_mixture(gaussian, z) + 2.0, gaussian, 6)
+    found, left = importance(lambda z: log_mixture(gaussian, z) + 2.0, gaussian, Rounds(6, most=1))
     np.testing.assert_allclose(found.log_evidence, 2.0, atol=1e-12)
     np.testing.assert_allclose(found.effective_size, 64.0, rtol=1e-9)
     assert found.standard_error[0] < 1e-12
+    np.testing.assert_array_equal(left.factor, gaussian.factor)
 
 
 def test_weights_of_points_without_density_are_none() -> None:
@@ -183,7 +103,6 @@ def test_k_hat_is_that_of_arviz(n: int, seed: int) -> None:
     assert pareto_shape(log_weight) == pytest.approx(float(k_hat), rel=1e-9)
 
 
-BRIEF = AdaptationSettings(draws=600)
 # Two components, correlated, over normal scores.
 MIXTURE = Mixture(
     np.array([0.7, 0.3]),
@@ -218,7 +137,7 @@ def test_densities_integrate_to_one_and_draws_lie_in_bounds_and_follow_them(
     make: Callable[[int], Any], prior: Prior | None
 ) -> None:
     own = posterior(prior)
-    proposal, n = Proposal(NormalScores(own.parameters), MIXTURE), 20_000
+    proposal, n = Proposal(own.scores, MIXTURE), 20_000
     x = proposal.draw(n, make(0))
     assert np.all((x >= own.parameters.lower) & (x <= own.parameters.upper))
     # values of each parameter, dense where the density is, up to 1e-12 of the bounds
@@ -239,20 +158,14 @@ def test_densities_integrate_to_one_and_draws_lie_in_bounds_and_follow_them(
 
 
 @pytest.mark.parametrize("name", ["a Gaussian", "inferred noise", "a bound", "two peaks"])
-def test_an_adapted_proposal_is_near_its_posterior(name: str) -> None:
+def test_the_proposal_that_is_left_is_near_its_posterior(name: str) -> None:
     own = {
         "a Gaussian": plate_posterior(LinearModel(), measurement(0.01), np.zeros(4)),
         "inferred noise": plate_posterior(LinearModel(), measurement(None), np.zeros(4)),
         "a bound": independent((-1.0, 5.0)),
         "two peaks": two_peaks(),
     }[name]
-    start = (
-        np.array([[1.0, -0.7], [-1.0, 1.3]])
-        if name == "two peaks"
-        else np.full((1, own.parameters.size), 0.02)
-    )
-    found = adapted(own, start, 0, BRIEF)
-    # a tenth of the draws is the wide component's
+    found = sampled_about(own, np.empty((0, own.parameters.size)), JUMPS)[0]
     x = found.draw(4000, np.random.default_rng(1))
     assert effective_size(own.log_prob(x) - found.log_density(x)) > 0.5 * 4000
 
@@ -286,18 +199,14 @@ def about_the_optimum() -> Mixture:
     return Mixture(np.ones((1, 1)), np.zeros((1, 1, 3)), 1.15 * factor[None], 6.0)
 
 
-def refit(mixture: Mixture, points: np.ndarray, log_weight: np.ndarray) -> Mixture:
-    return shrunk_moments(mixture, points, log_weight, least=1e-3, wider=1.15, prior_points=4.0)
-
-
 def test_integral_and_moments_of_a_bent_ridge_are_found_where_refitting_alone_does_not() -> None:
-    found = adaptive_importance(log_density, expand, about_the_optimum(), refit)
+    found, _ = importance(log_density, about_the_optimum(), expand=expand)
     assert found.log_evidence[0] == pytest.approx(LOG_Z, abs=0.1)
     assert found.effective_size[0] > 400.0
     y, _ = straight(found.points[0])
     np.testing.assert_allclose(found.weight[0] @ y, 0.0, atol=0.2)
     np.testing.assert_allclose(found.weight[0] @ y**2, 1.0, atol=0.3)
-    refitted = staged_importance(log_density, about_the_optimum(), 12, (0.125,) * 8, refit)
+    refitted, _ = importance(log_density, about_the_optimum(), Rounds(9, most=8, enough=np.inf))
     assert abs(refitted.log_evidence[0] - LOG_Z) > 0.2
 
 
@@ -312,9 +221,7 @@ def test_it_ends_as_soon_as_the_points_are_enough() -> None:
     factor = np.linalg.cholesky(np.linalg.inv(gaussian.curvature))
     rounds = Rounds(log2_points=8)
     proposal = Mixture(np.ones((1, 1)), np.zeros((1, 1, 3)), factor[None], 6.0)
-    found = adaptive_importance(
-        lambda points: of_gaussian(points[0]).value[None], of_gaussian, proposal, refit, rounds
-    )
+    found, _ = importance(lambda points: of_gaussian(points[0]).value[None], proposal, rounds, of_gaussian)
     assert found.points.shape[1] == rounds.least << rounds.log2_points
     assert found.log_evidence[0] == pytest.approx(LOG_Z, abs=0.02)
 
@@ -323,5 +230,5 @@ def test_points_without_density_have_no_evidence() -> None:
     def nowhere(points: np.ndarray) -> np.ndarray:
         return np.full(points.shape[:2], -np.inf)
 
-    found = adaptive_importance(nowhere, expand, about_the_optimum(), refit)
+    found, _ = importance(nowhere, about_the_optimum(), expand=expand)
     assert found.log_evidence[0] == -np.inf
