@@ -20,8 +20,8 @@ from cpam_bayes.inference.student_mixture import (
     Mixture,
     Weighted,
     draw,
-    log_blend,
     log_mixture,
+    log_sum_exp,
     shrunk_moments,
     sobol_points,
     weighted,
@@ -101,14 +101,19 @@ def importance(
     m, n = mixture.centre.shape[0], mixture.centre.shape[2]
     size = 1 << rounds.log2_points
     log2_all = rounds.log2_points + (rounds.most - 1).bit_length()
-    mixtures: list[Mixture] = []
+    mixtures, proposed = list[Mixture](), list[Array]()  # and their log densities at all points
     points, target, before = np.empty((m, 0, n)), np.empty((m, 0)), np.full(m, np.inf)
     for i in range(rounds.most):
-        mixtures.append(mixture)
         more = sobol_points(mixture, log2_all, slice(i * size, (i + 1) * size))
         points = np.concatenate((points, more), axis=1)
         target = np.concatenate((target, log_density(more)), axis=1)
-        log_weight = target - log_blend(mixtures, [size] * (i + 1), points)
+        proposed = [
+            np.concatenate((known, log_mixture(earlier, more)), axis=1)
+            for earlier, known in zip(mixtures, proposed, strict=True)
+        ]
+        mixtures.append(mixture)
+        proposed.append(log_mixture(mixture, points))
+        log_weight = target - log_sum_exp(np.stack(proposed), axis=0) + np.log(i + 1)
         if i + 1 < rounds.most and m > 1:  # all rounds are made of several densities
             mixture = _refitted(mixture, points, log_weight, rounds)
             continue

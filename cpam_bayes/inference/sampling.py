@@ -37,7 +37,7 @@ from cpam_bayes.storage import opened_draws
 
 # Rounds of importance sampling for an evidence, and for the proposal that chains jump to, which need not be
 # as good.
-EVIDENCE: Final = Rounds(log2_points=10, most=24, least=4, enough=8000.0, steady=0.01)
+EVIDENCE: Final = Rounds(log2_points=11, most=12, least=2, enough=4000.0, steady=0.02)
 JUMPS: Final = Rounds(log2_points=9, most=12, least=2, enough=1500.0, steady=0.05, good=0.6)
 # The basis about a posterior: draws that it is made from, its largest error, the share of the noise that it
 # is at most, and the share of the draws whose noise may be less than the one that counts.

@@ -32,41 +32,24 @@ class Mixture:
         return Mixture(self.share[0], self.centre[0], self.factor[0], self.degrees_of_freedom)
 
 
-def log_student_t(away: Array, factor: Array, nu: float) -> Array:
-    """Log density of a multivariate Student-t, or of a Gaussian where nu is infinite, (..., p).
-
-    away : (..., p, n) from the centre.
-    factor : (..., n, n) square root of the scale matrix.
-    """
-    n = away.shape[-1]
-    squared = np.sum((away @ np.swapaxes(np.linalg.inv(factor), -1, -2)) ** 2, axis=-1)
-    log_det = np.linalg.slogdet(factor)[1][..., None]
-    if np.isinf(nu):
-        return np.asarray(-0.5 * squared - log_det - 0.5 * n * np.log(2.0 * np.pi))
-    constant = gammaln(0.5 * (nu + n)) - gammaln(0.5 * nu) - 0.5 * n * np.log(nu * np.pi)
-    return np.asarray(constant - log_det - 0.5 * (nu + n) * np.log1p(squared / nu))
-
-
 def log_components(mixture: Mixture, points: Array) -> Array:
     """Log of share times density of every component at points (..., p, n), (..., k, p)."""
-    away = points[..., None, :, :] - mixture.centre[..., :, None, :]
+    nu, n = mixture.degrees_of_freedom, points.shape[-1]
+    back = np.swapaxes(np.linalg.inv(mixture.factor), -1, -2)
+    away = points[..., None, :, :] @ back
+    away -= mixture.centre[..., None, :] @ back
+    squared = np.einsum("...i,...i->...", away, away)
     with np.errstate(divide="ignore"):
-        log_share = np.log(mixture.share)
-    return log_share[..., None] + log_student_t(away, mixture.factor, mixture.degrees_of_freedom)
+        log_height = np.log(mixture.share) - np.linalg.slogdet(mixture.factor)[1]
+    if np.isinf(nu):
+        return np.asarray(log_height[..., None] - 0.5 * squared - 0.5 * n * np.log(2.0 * np.pi))
+    constant = gammaln(0.5 * (nu + n)) - gammaln(0.5 * nu) - 0.5 * n * np.log(nu * np.pi)
+    return np.asarray(constant + log_height[..., None] - 0.5 * (nu + n) * np.log1p(squared / nu))
 
 
 def log_mixture(mixture: Mixture, points: Array) -> Array:
     """Log density at points (..., p, n), (..., p)."""
     return log_sum_exp(log_components(mixture, points), axis=-2)
-
-
-def log_blend(mixtures: list[Mixture], sizes: list[int], points: Array) -> Array:
-    """Log density at points (..., p, n) of what they were drawn from, ``sizes`` from each, (..., p).
-
-    The deterministic mixture of adaptive importance sampling (Cornuet et al., 2012).
-    """
-    parts = [log_components(m, points) + np.log(size) for m, size in zip(mixtures, sizes, strict=True)]
-    return log_sum_exp(np.concatenate(parts, axis=-2), axis=-2) - float(np.log(sum(sizes)))
 
 
 def draw(mixture: Mixture, size: int, rng: np.random.Generator | np.random.RandomState) -> Array:

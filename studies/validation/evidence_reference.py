@@ -23,7 +23,7 @@ from cpam_bayes.inference.scores import MAX_SCORE, Expansion
 from cpam_bayes.inference.student_mixture import (
     Mixture,
     Weighted,
-    log_blend,
+    log_mixture,
     shrunk_moments,
     sobol_points,
     weighted,
@@ -249,7 +249,8 @@ def _in_stages(comparison: CorrelatedDensity, mixture: Mixture, log2_points: int
         more = sobol_points(mixture, log2_points, slice(first, last))
         points = np.concatenate((points, more), axis=1)
         target = np.concatenate((target, comparison.log_density(more[0])[None]), axis=1)
-        sizes = np.diff(stops)[: len(mixtures)].tolist()
-        log_weight = target - log_blend(mixtures, sizes, points)
+        sizes = np.diff(stops)[: len(mixtures), None, None]
+        each = np.stack([log_mixture(one, points) for one in mixtures])
+        log_weight = target - logsumexp(each, b=sizes / last, axis=0)
         mixture = shrunk_moments(mixture, points, log_weight, least=1e-3, wider=1.1, prior_points=6.0)
     return weighted(points, log_weight)

@@ -19,8 +19,7 @@ ONE = MixtureSettings(least=2.0)
 SHORT = replace(
     ONE,
     ensembles=replace(ONE.ensembles, walkers=12, round_steps=10, most_steps=10),
-    proposal=replace(ONE.proposal, rounds=1, draws=200),
-    points=200,
+    rounds=ONE.rounds._replace(log2_points=8, most=1),
 )
 
 
