@@ -105,8 +105,6 @@ class Absorbed:
 
     specimen : whose numbers these are
     constants : unknown -> its most probable value, SI
-    prior : (n,) relative standard deviations of their priors
-    residual : (n_f,) of the frequencies, predicted - measured over the noise
     names : of the k numbers; none of a model of which nothing is known
     shift : (k, n) relative, of the constants, for each relative excess of a number
     change, left : (k, n_f) likewise of the frequencies over their noise, and what the constants leave of it
@@ -114,8 +112,6 @@ class Absorbed:
 
     specimen: Specimen
     constants: Mapping[str, float]
-    prior: Array
-    residual: Array
     names: tuple[str, ...]
     shift: Array
     change: Array
@@ -132,21 +128,6 @@ class Absorbed:
             shifts = dict(zip(self.constants, shift.tolist(), strict=True))
             errors.append(ScaleError(name, shifts, visible, sd))
         return tuple(errors)
-
-    def shifts(self) -> tuple[Array, Array]:
-        """Relative shifts of the constants by all that is known to a tolerance: their mean (n,), and (k, n).
-
-        Each row of these times a standard normal number, of k independent ones: the errors as frequencies and
-        priors leave them.
-        """
-        known, unknowns = common_sd(self.specimen), self.specimen.unknowns
-        sd = np.array([known[name] for name in self.names])[:, None]
-        shift, left = sd * self.shift, sd * self.left
-        away = np.array([1.0 - unknowns[name].prior.mean / value for name, value in self.constants.items()])
-        moved = shift / self.prior
-        precision = np.eye(len(sd)) + left @ left.T + moved @ moved.T
-        mean = -np.linalg.solve(precision, left @ self.residual + moved @ (away / self.prior))
-        return mean @ shift, np.linalg.solve(np.linalg.cholesky(precision), shift)
 
 
 def absorbed(
@@ -169,14 +150,10 @@ def absorbed(
     prior = np.array([spread[name] / abs(value) for name, value in constants.items()])
     if found is None or measurement is None:
         none = np.zeros((0, len(order)))
-        return Absorbed(
-            specimen, constants, prior, np.zeros(len(order)), (), np.zeros((0, len(constants))), none, none
-        )
+        return Absorbed(specimen, constants, (), np.zeros((0, len(constants))), none, none)
     relative = _USUAL_NOISE if measurement.relative_std is None else measurement.relative_std
     own = np.arange(len(order)) if listed is None else listed
-    measured = measurement.frequencies[own]
-    noise = measurement.noise_sd(relative)[own] / measured
-    residual = (found.frequencies / measured - 1.0) / noise
+    noise = measurement.noise_sd(relative)[own] / measurement.frequencies[own]
     weighted = found.of_constants / noise[:, None]
     curvature = weighted.T @ weighted + np.diag(prior**-2.0)
     change = np.array(list(found.of_sizes.values())) / noise
@@ -184,7 +161,7 @@ def absorbed(
     # analyser shows is no frequency of the plate: a scale too large shows as stiffer constants
     shift = -np.linalg.solve(curvature, weighted.T @ change.T).T
     left = change + shift @ weighted.T
-    return Absorbed(specimen, constants, prior, residual, tuple(found.of_sizes), shift, change, left)
+    return Absorbed(specimen, constants, tuple(found.of_sizes), shift, change, left)
 
 
 def known_errors(specimen: Specimen) -> dict[str, float]:
