@@ -18,7 +18,7 @@ from scipy.io import wavfile
 import cpam_bayes as cb
 from cpam_bayes.answer import Notice
 from cpam_bayes.plate.modal_analysis.fit import Pole, Taken, fit_poles, is_of_mains, modes_of_hits, stabilise
-from cpam_bayes.plate.modal_analysis.hits import FrequencyResponses, ModalTestError
+from cpam_bayes.plate.modal_analysis.hits import FrequencyResponses, ModalTestError, hum_notices
 from cpam_bayes.plate.modal_analysis.peaks import mode_probability
 from tests.plate_file import BAR
 from tests.synthetic_poles import accelerance, eigenvalues, known_test
@@ -529,9 +529,26 @@ def test_hits_with_a_second_stroke_are_numbered_and_what_follows_it_is_the_free_
     result = of_hits(tmp_path, recorded(5, n_hits, faults, above=above))
     assert_found(result, 0.003)
     assert codes(result) & {"double_hits", "short_hits"} == set(found)
-    assert found or "hum" not in codes(result)
+    assert "hum" not in codes(result)  # the mode at 63 Hz still rings at the end after a late stroke
     said = {notice.code: notice.facts for notice in result.notices}
     assert all(facts is None or said[code] == facts for code, facts in found.items())
+
+
+@pytest.mark.parametrize("stroke", [None, 0.045, 0.3])
+def test_hum_is_found_beside_a_second_stroke(stroke: float | None) -> None:
+    (record,) = recorded(5, 1, Faults(hum=0.1, second_stroke=stroke), above=())
+    (notice,) = hum_notices(RATE_OF_HITS, record[None].astype(float))
+    assert notice.facts["mains"] == 50.0
+    # 50 and 150 Hz of 0.1 each
+    assert notice.facts["size"] == pytest.approx(0.1 * np.sqrt(2.0), rel=0.25)
+
+
+@pytest.mark.parametrize(("sooner", "found"), [(0.0, True), (0.05, False)])
+def test_a_mode_at_the_mains_was_silent_before_its_hit(sooner: float, found: bool) -> None:
+    frequency, damping = np.array([50.0]), np.array([1e-3])
+    (decay,) = recorded_hits(np.random.default_rng(0), frequency, damping, 1, Faults(drift=0.0), above=())
+    record = np.append(np.zeros(int(sooner * RATE_OF_HITS)), decay.astype(float))
+    assert bool(hum_notices(RATE_OF_HITS, record[None])) is found
 
 
 def test_modes_that_drift_by_two_per_cent_are_one_each_and_are_named(tmp_path: Path) -> None:

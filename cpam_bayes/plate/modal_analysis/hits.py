@@ -99,6 +99,9 @@ MAINS: Final = (50.0, 60.0)
 _TAIL, _OF_POWER, _OF_PEAK = 0.25, 0.5, 0.03
 _LEAST_TAIL: Final = 0.2
 _MULTIPLES: Final = np.arange(1.0, 6.0)
+# The mains are within this of their frequency, Hz, in so many steps; the last s of a tail tell how steady a
+# tone is; hum was there before a hit, with this part of its power, where so many s of that are recorded.
+_OF_MAINS, _STEPS, _TOLD_BY, _STOOD, _SOONER = 0.2, 9, 1.0, 0.25, 0.01
 # Lines of modes stand above the noise, the median, and above this part of the largest one, in power.
 _ABOVE_NOISE, _ABOVE_LEAST = 100.0, 1e-5
 # A peak is the largest line within this fraction of its frequency and so many lines, above the median of a
@@ -154,7 +157,11 @@ def _rings(force: Array, rate: float, before: float) -> bool:
 
 
 def hum_notices(rate: float, channels: Array) -> tuple[Notice, ...]:
-    """A steady tone of the mains or a multiple at the end of a record (channels, n), where modes are gone."""
+    """A steady tone of the mains or a multiple at the end of a record (channels, n), where modes are gone.
+
+    A mode beside such a multiple that still rings there, as after a late second stroke, decays, has a
+    frequency of its own and was silent before the hit.
+    """
     tail = channels[:, int((1.0 - _TAIL) * channels.shape[1]) :]
     n = tail.shape[1]
     if n < _LEAST_TAIL * rate:
@@ -162,16 +169,54 @@ def hum_notices(rate: float, channels: Array) -> tuple[Notice, ...]:
     tail = tail - tail.mean(axis=1, keepdims=True)
     power = np.abs(np.fft.rfft(tail * np.hanning(n), axis=1)) ** 2
     frequencies = np.fft.rfftfreq(n, 1.0 / rate)
-    peak = np.abs(channels - np.median(channels, axis=1, keepdims=True)).max(axis=1)
+    centred = np.abs(channels - np.median(channels, axis=1, keepdims=True))
+    peak = centred.max(axis=1)
     loud = np.sqrt(np.mean(tail**2, axis=1)) > _OF_PEAK * peak
     for mains in MAINS:
         near = np.min(np.abs(frequencies[:, None] - mains * _MULTIPLES), axis=1) < 2.5 * rate / n + 0.5
         part = power[:, near].sum(axis=1) / np.maximum(power.sum(axis=1), np.finfo(float).tiny)
-        hums = loud & (part > _OF_POWER)
+        tone = part * np.mean(tail**2, axis=1)
+        hums = np.array(
+            [
+                of_mains and _is_steady(end, rate, mains, share) and _was_there(before, rate, its)
+                for of_mains, end, share, before, its in zip(
+                    loud & (part > _OF_POWER), tail, part, centred, tone, strict=True
+                )
+            ]
+        )
         if hums.any():
-            size = float(np.max(np.sqrt(2.0 * part[hums] * np.mean(tail[hums] ** 2, axis=1)) / peak[hums]))
+            size = float(np.max(np.sqrt(2.0 * tone[hums]) / peak[hums]))
             return (Notice("hum", facts={"mains": mains, "size": size}),)
     return ()
+
+
+def _is_steady(tail: Array, rate: float, mains: float, part: float) -> bool:
+    """Whether tones of the first half of a tail (n,) go on in its second half.
+
+    They are at multiples of the frequency of the mains that fits the tail best; part : of the power of the
+    tail near these multiples, of which they must foretell half
+    """
+    end = tail[-int(_TOLD_BY * rate) :]
+    multiples = _MULTIPLES[_MULTIPLES * (mains + _OF_MAINS) < 0.5 * rate]
+    t, half = np.arange(len(end)) / rate, len(end) // 2
+
+    def left(base: float, known: int) -> Array:
+        """What tones that are fitted to the first samples leave of all."""
+        angles = 2.0 * np.pi * base * multiples * t[:, None]
+        tones = np.hstack((np.cos(angles), np.sin(angles)))
+        return np.asarray(end - tones @ np.linalg.lstsq(tones[:known], end[:known], rcond=None)[0])
+
+    bases = mains + np.linspace(-_OF_MAINS, _OF_MAINS, _STEPS)
+    base = min(bases, key=lambda one: float(np.sum(left(one, len(end)) ** 2)))
+    missed = np.sum(left(base, half)[half:] ** 2) / np.sum(end[half:] ** 2)
+    return bool(1.0 - missed > 0.5 * part)
+
+
+def _was_there(size: Array, rate: float, power: float) -> bool:
+    """Whether |samples| (n,) have a part of a tone's power before their hit; True where none is recorded."""
+    onset = int(np.argmax(size > _ONSET * size.max()))
+    before = size[: max(onset - int(_BEFORE * rate), 0)]
+    return len(before) < _SOONER * rate or bool(np.mean(before**2) > _STOOD * power)
 
 
 def relative_power(frf: Array) -> Array:
