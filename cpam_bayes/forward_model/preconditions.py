@@ -20,7 +20,7 @@ from cpam_bayes.mechanics.modes import RigidBodyError, solve
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate import Material, Measurement, Specimen, joined_name, unit_of
+from cpam_bayes.plate import Material, Measurement, Plate, Specimen, joined_name, unit_of
 from cpam_bayes.plate.edges import conditions
 from cpam_bayes.running import single_blas_thread
 
@@ -256,15 +256,17 @@ def likely_cure(ratio: float, *, weighed: bool) -> str:
     return f"the likely slip is {likely[0]}; check the units of the plate file"
 
 
-def units_notices(ratio: Array, *, weighed: bool, severity: Severity = "warning") -> tuple[Notice, ...]:
+def units_notices(ratio: Array, plate: Plate, severity: Severity = "warning") -> tuple[Notice, ...]:
     """A notice where a predicted frequency is not even of the size of the measured one.
 
-    ratio : predicted over measured frequencies. weighed : as of `likely_cure`.
+    None of a plate whose stated numbers disagree, which is reason enough.
+
+    ratio : predicted over measured frequencies
     """
     worst = float(ratio[np.argmax(np.abs(np.log(ratio)))])
-    if 1 / SUSPICIOUS_RATIO <= worst <= SUSPICIOUS_RATIO:
+    if 1 / SUSPICIOUS_RATIO <= worst <= SUSPICIOUS_RATIO or disagrees(plate):
         return ()
-    facts = {"ratio": worst, "median": float(np.median(ratio)), "weighed": weighed}
+    facts = {"ratio": worst, "median": float(np.median(ratio)), "weighed": plate.mass is not None}
     return (Notice("units", severity, facts),)
 
 
@@ -303,7 +305,8 @@ def require_reachable(specimen: Specimen) -> Specimen:
 
     Compared are the medians over the list of the logarithms of measured and predicted frequencies, these
     with all unknown moduli at their lower bounds and at their upper ones. Not asked of a mesh, and where
-    bending cannot be told from rounding, which others say.
+    bending cannot be told from rounding, which others say. A plate whose thickness, mass and density disagree
+    is refused for that.
     """
     measurement = specimen.measurement
     if measurement is None or specimen.plate.mesh is not None:
@@ -324,6 +327,8 @@ def require_reachable(specimen: Specimen) -> Specimen:
     ratio = float(np.exp(np.median(np.log(reference / measurement.frequencies))))
     span = [significant(float(v), 3) for v in (reference[0], reference[-1])]
     given = [f"{float(v):.6g}" for v in (measurement.frequencies[0], measurement.frequencies[-1])]
+    if disagrees(specimen.plate):
+        raise _disagreement(specimen)
     raise PlateFileError(
         f"{specimen.source}: measurement.frequencies_hz: received {' to '.join(dict.fromkeys(given))} Hz, "
         f"where the plate with the constants of [material] has {' to '.join(dict.fromkeys(span))} Hz, "
@@ -340,6 +345,8 @@ def _require_no_motion_of_the_support(specimen: Specimen, lowest: float) -> None
     too_low = f[f < lowest / (_BELOW_ALL_OF_UNKNOWN_ANGLES if unknown else _BELOW_ALL)]
     if not too_low.size:
         return
+    if disagrees(specimen.plate):
+        raise _disagreement(specimen)
     n = too_low.size
     many, are, them = (
         (f"the first {n} frequencies", "are", "them") if n > 1 else ("the first frequency", "is", "it")
@@ -355,6 +362,21 @@ def _require_no_motion_of_the_support(specimen: Specimen, lowest: float) -> None
         f"where no constants within [unknowns] give this plate a frequency below "
         f"{significant(lowest, 3)} Hz: {many} of the list {are} most likely "
         f"{motion}, which is no mode of the plate; leave {them} out, or set the decimal point right"
+    )
+
+
+def _disagreement(specimen: Specimen) -> PlateFileError:
+    """The refusal of frequencies beyond reach where the plate's thickness, mass and density disagree."""
+    plate = specimen.plate
+    assert plate.thicknesses is not None
+    gauged, by_mass, taken = (
+        significant(1e3 * value, 3) for value in (*(mean for mean, _ in plate.thicknesses), plate.thickness)
+    )
+    return PlateFileError(
+        f"{specimen.source}: plate.thickness_mm: received {gauged} mm, where mass over density is {by_mass} "
+        f"mm, {plate.thicknesses_apart:.0f} standard deviations apart, accepted: a thickness, mass_g and "
+        f"density_kg_m3 that agree; no constants within [unknowns] come near the frequencies with {taken} "
+        "mm, which is taken of both: gauge and weigh the plate again, and check the density"
     )
 
 
@@ -471,10 +493,15 @@ def contradicts_list(notices: Iterable[Notice]) -> bool:
     return any(notice.code in _CONTRADICTING for notice in notices)
 
 
+def disagrees(plate: Plate) -> bool:
+    """Whether thickness, mass and density of a plate contradict one another."""
+    return plate.thicknesses_apart > _FAR_SD
+
+
 def stated_slips(specimen: Specimen) -> tuple[Notice, ...]:
     """What a file states and cannot be: thickness, mass and density that disagree, a noise of no tap test."""
     found, plate = list[Notice](), specimen.plate
-    if plate.thicknesses is not None and plate.thicknesses_apart > _FAR_SD:
+    if plate.thicknesses is not None and disagrees(plate):
         gauged, by_mass = plate.thicknesses
         facts = {"gauged": gauged, "by_mass": by_mass, "apart": plate.thicknesses_apart}
         facts["taken"] = (plate.thickness, plate.sd["thickness"])
@@ -504,7 +531,8 @@ def common_factor_slips(
 ) -> tuple[Notice, ...]:
     """All moduli far on one side of their references: a wrong size, mass or frequency scale, most likely.
 
-    Of a thin plate f^2 is proportional to E h^2 / rho, or E h^3 / m.
+    Of a thin plate f^2 is proportional to E h^2 / rho, or E h^3 / m. Nothing is said of a plate whose stated
+    numbers disagree: one of them is wrong.
 
     estimates : modulus that the frequencies determine -> its estimate and standard deviation, Pa, without its
     reference as prior
@@ -518,7 +546,7 @@ def common_factor_slips(
         distances[name] = (value - reference[name]) / float(np.hypot(known, sd))
     above = bool(distances) and min(distances.values()) > _FAR_SD
     below = bool(distances) and max(distances.values()) < -_FAR_SD
-    if not (above or below):
+    if not (above or below) or disagrees(specimen.plate):
         return ()
     is_common = max(ratios.values()) <= _COMMON * min(ratios.values())
     facts = {

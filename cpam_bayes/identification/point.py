@@ -505,8 +505,8 @@ def sampled_constants(
 
 def _notices(specimen: Specimen, predicted: Array) -> tuple[Notice, ...]:
     measurement, unknowns = required(specimen)
-    ratio, weighed = predicted / measurement.frequencies, specimen.plate.mass is not None
-    return (*count_notices(measurement.size, unknowns.size), *units_notices(ratio, weighed=weighed))
+    ratio = predicted / measurement.frequencies
+    return (*count_notices(measurement.size, unknowns.size), *units_notices(ratio, specimen.plate))
 
 
 # The solver's error matters where it is more than this fraction of the noise.

@@ -79,7 +79,7 @@ from cpam_bayes.render.report import (
     modes_caption,
     plate_keys,
 )
-from cpam_bayes.render.sentences import plate_argument
+from cpam_bayes.render.sentences import mismatch_step, plate_argument
 from cpam_bayes.result import PlateResult, present
 from cpam_bayes.running import SILENT, Watch
 
@@ -254,8 +254,7 @@ def _slips(specimen: Specimen, solution: _Solution) -> tuple[Notice, ...]:
         return ()
     n = min(measurement.size, len(solution.modes))
     predicted = np.array([mode.frequency for mode in solution.modes[:n]])
-    weighed = specimen.plate.mass is not None
-    return units_notices(predicted / measurement.frequencies[:n], weighed=weighed, severity="slip")
+    return units_notices(predicted / measurement.frequencies[:n], specimen.plate, "slip")
 
 
 def _ritz(specimen: Specimen, n_modes: int) -> _Solution:
@@ -482,6 +481,8 @@ def _exactness(result: ForwardResult) -> str:
 
 def _next_step(result: ForwardResult) -> str:
     specimen = result.specimen
+    for step in mismatch_step(specimen, result.notices):
+        return step
     if specimen.measurement is None or not specimen.unknowns.size:
         missing = "measured frequencies" if specimen.measurement is None else "the unknown constants"
         return f"add {missing} to the plate file, and identify the constants."

@@ -128,9 +128,9 @@ def _large_stated_noise(facts: Facts) -> str:
 def _thicknesses_apart(facts: Facts) -> str:
     gauged, by_mass, taken = (_in_mm(*facts[key]) for key in ("gauged", "by_mass", "taken"))
     return (
-        f"Thickness, mass and density disagree: {gauged} as gauged, {by_mass} by mass over density, "
-        f"{facts['apart']:.1f} standard deviations apart. One of them, or a side, is wrong: {taken} is "
-        "taken, which allows for both."
+        f"Thickness, mass and density{_of_plate(facts)} disagree: {gauged} as gauged, {by_mass} by mass over "
+        f"density, {facts['apart']:.1f} standard deviations apart. One of them, or a side, is wrong: {taken} "
+        "is taken, which allows for both."
     )
 
 
@@ -381,6 +381,16 @@ def _level(facts: Facts) -> str:
 def _failed_plates(facts: Facts) -> str:
     n = facts["count"]
     return f"{n} {'plate has' if n == 1 else 'plates have'} no answer: the rows say why."
+
+
+def _disagreeing_plates(facts: Facts) -> str:
+    names = facts["plates"]
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    shown = listed(names, "and") if not more else f"{', '.join(names[:_MOST_NAMED])}{more}"
+    return (
+        f"Thickness, mass and density of {shown} disagree: one of them, or a side, is wrong. Gauge and weigh "
+        "again, and check the density."
+    )
 
 
 def _undescribed_plates(facts: Facts) -> str:
@@ -650,6 +660,7 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "mixed_materials": (
         "The plates are of several materials: means and control limits are those of a mixture."
     ),
+    "disagreeing_plates": _disagreeing_plates,
     "undescribed_plates": _undescribed_plates,
     "no_population": _no_population,
     "population_chains": (

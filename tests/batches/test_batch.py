@@ -12,7 +12,7 @@ import xarray
 from scipy.stats import multivariate_normal, norm
 
 import cpam_bayes as cb
-from cpam_bayes.answer import Verdict
+from cpam_bayes.answer import Notice, Verdict
 from cpam_bayes.batches.geometry import carried, groups_of, size_powers
 from cpam_bayes.batches.limits import Limit, MarginalPosterior, control_chart, read_limit
 from cpam_bayes.batches.plate_row import (
@@ -400,6 +400,16 @@ def test_copies_are_named_and_a_plate_that_misfits_is_diagnosed_unasked_and_kept
     assert told["equal_lists"] == ("good", "copy")
     assert [name for name, _ in told["undescribed_plates"]] == ["odd"]
     assert without_store(again) == without_store(first)
+
+
+def test_plates_whose_files_contradict_themselves_are_named() -> None:
+    wrong = plate("wrong")
+    wrong["plate"]["mass_g"] = 10.0
+    result = cb.batch(wrong)
+    assert result.notices[1] == Notice("disagreeing_plates", "slip", {"plates": ("wrong",)})
+    (row,) = result.rows
+    assert "mass over density" in row.message
+    assert "likely slip" not in row.message
 
 
 @pytest.mark.slow

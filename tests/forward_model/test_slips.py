@@ -17,6 +17,7 @@ from cpam_bayes.forward_model.preconditions import (
     reference_slips,
     require_reachable,
     stated_slips,
+    units_notices,
 )
 from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.reader import builtin, parse_specimen
@@ -151,6 +152,23 @@ def test_a_mass_and_a_density_that_are_not_those_of_the_thickness_are_a_slip() -
     assert plate.sd["thickness"] == pytest.approx(0.02e-3 * np.sqrt(weight) * apart, rel=2e-3)
     assert stated_slips(panel(1555.0)) == ()
     assert panel(1555.0).plate.sd["thickness"] < 0.02e-3
+
+
+def test_of_a_file_that_contradicts_itself_no_slip_of_units_is_guessed() -> None:
+    wrong, right = panel(7750.0), panel(1555.0)  # five times the density that the mass and the thickness have
+    with pytest.raises(
+        PlateFileError, match=r"3.10 mm, where mass over density is 0.622 mm, .* gauge"
+    ) as told:
+        require_reachable(wrong)
+    assert "likely slip" not in str(told.value)
+    # nor one of a first frequency that is no mode
+    with pytest.raises(PlateFileError, match="gauge and weigh the plate again"):
+        require_reachable(scaled(replace(wrong, plate=replace(wrong.plate, thickness=31e-3)), 1.0))
+    ratio = np.full(3, 0.16)
+    assert units_notices(ratio, wrong.plate) == ()
+    assert [notice.code for notice in units_notices(ratio, right.plate)] == ["units"]
+    reference = {name: (0.5 * right.material.constants[name], 1e9) for name in ("E1",)}
+    assert [len(common_factor_slips(one, reference)) for one in (wrong, right)] == [0, 1]
 
 
 def moduli_of_c1(factor: float, **changes: float) -> dict[str, tuple[float, float]]:

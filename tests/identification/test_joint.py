@@ -89,6 +89,17 @@ def test_a_noise_that_is_high_for_a_tap_test_is_named_with_its_list() -> None:
 
 
 @pytest.mark.slow
+def test_a_file_that_contradicts_itself_is_named_before_anything_else() -> None:
+    heavy = plate("heavy", "Q")
+    heavy["plate"]["mass_g"] = 748.0  # of 680
+    joint = cb.identify(plate("free", "P"), heavy, seed=0)
+    first = joint.notices[0]
+    assert (first.code, first.facts["plate"]) == ("thicknesses_apart", "heavy")
+    assert joint.slips[0].startswith("Thickness, mass and density of heavy disagree")
+    assert joint.report().summary.next_step.startswith("gauge and weigh the plate again")
+
+
+@pytest.mark.slow
 def test_a_list_of_unknown_noise_that_no_plate_of_its_file_has_is_named() -> None:
     wrong = plate("clamped", "P", "CFFF")
     wrong["plate"]["edges"] = "FFFF"

@@ -107,3 +107,9 @@ def test_thickness_mass_and_density_that_disagree_are_warned_of() -> None:
     plate["plate"]["mass_g"] = 437.0  # of 486
     (said,) = forward(plate, 1).notices
     assert (said.code, said.severity) == ("thicknesses_apart", "slip")
+    assert forward(plate, 1).report().summary.next_step.startswith("gauge and weigh the plate again")
+    # frequencies far from the list are no sign of other units then
+    plate["measurement"] = {"frequencies_hz": [4e3]}
+    assert [notice.code for notice in forward(plate, 1).notices] == ["thicknesses_apart"]
+    del plate["plate"]["mass_g"]
+    assert [notice.code for notice in forward(plate, 1).notices] == ["units"]

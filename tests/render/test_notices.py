@@ -91,6 +91,7 @@ FACTS: dict[str, dict[str, object]] = {
     "tasks_of_one_swarm": {"titles": ("C1",)},
     "failed_plates": {"count": 1},
     "list_over_noise": {"plate": "C1", "times": 3.2},
+    "disagreeing_plates": {"plates": tuple("abcdefg")},
     "undescribed_plates": {"plates": tuple((f"p{i}", 3.0) for i in range(10))},
     "no_population": {"reason": "two plates are needed"},
     "population_chains": {"steps": 20, "r_hat": 1.2, "ess_bulk": 12.0},
@@ -140,6 +141,7 @@ def test_numbers_and_cures_are_in_the_sentences_of_which_each_is_told_once() -> 
         "large_stated_noise": ("repeatability, 0.2, is 20 %", "write 0.002"),
         "cut_posterior": ("fourth of eq. (9) of c", "orthotropic model"),
         "doubtful_list": ("(2,0) near 311.2 Hz", "148 times", "modes may be missing"),
+        "disagreeing_plates": ("a, b, c, d, e and 2 more disagree",),
         "undescribed_plates": ("p4 (3.0 times the noise) and 5 more",),
         "time_up": ("3 s", "detection limits were computed; 1 of at least 3 swarms ran."),
     }.items():

@@ -30,6 +30,7 @@ from cpam_bayes.effects import CATALOGUE
 from cpam_bayes.errors import PlateFileError, checked
 from cpam_bayes.fingerprint import fingerprint
 from cpam_bayes.forward_model.preconditions import (
+    disagrees,
     equal_list_slips,
     require_diagnosable,
     require_paired_list,
@@ -135,6 +136,7 @@ def batch(
         notices=(
             *([Notice("failed_plates", facts={"count": failed})] if failed else []),
             *([Notice("mixed_materials")] if len(materials) > 1 else []),
+            *_disagreeing([plate for _, plate in read_items if isinstance(plate, Specimen)]),
             *equal_list_slips([plate for _, plate in read_items if isinstance(plate, Specimen)]),
             *_not_described(rows),
             *not_pooled,
@@ -148,6 +150,13 @@ def batch(
         population=population,
         seconds=time.perf_counter() - start,
     )
+
+
+def _disagreeing(specimens: Sequence[Specimen]) -> Iterator[Notice]:
+    """A notice of the plates whose thickness, mass and density contradict one another."""
+    names = tuple(specimen.name for specimen in specimens if disagrees(specimen.plate))
+    if names:
+        yield Notice("disagreeing_plates", "slip", {"plates": names})
 
 
 def _not_described(rows: Sequence[PlateRow]) -> Iterator[Notice]:

@@ -23,6 +23,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_number,
     require_paired_list,
     require_supported,
+    stated_slips,
 )
 from cpam_bayes.forward_model.three_dimensions import sandwich_notices
 from cpam_bayes.identification.joint import (
@@ -64,6 +65,7 @@ from cpam_bayes.render.sentences import (
     correction_step,
     frequency_columns,
     further_steps,
+    mismatch_step,
     more_modes_step,
     plate_argument,
     references_said,
@@ -152,6 +154,7 @@ def identify_jointly(
     return JointResult(
         seed=seed,
         notices=(
+            *(slip for fit in estimate.fits for slip in _of_list(fit, stated_slips(fit.specimen))),
             *(notice for _, notices in excess for notice in notices),
             *prior_notices(specimens),
             *_notices(estimate),
@@ -187,6 +190,12 @@ def _notices(estimate: JointEstimate) -> tuple[Notice, ...]:
     return tuple(found)
 
 
+def _contradictions(result: JointResult) -> tuple[str, ...]:
+    """The check of the first plate file that contradicts itself."""
+    each = (mismatch_step(plate, stated_slips(plate)) for plate in result.plates)
+    return next((step for step in each if step), ())
+
+
 def _rows(fit: ListFit) -> tuple[FrequencyRow, ...]:
     each = zip(fit.measurement.frequencies.tolist(), fit.predicted, strict=True)
     return tuple(
@@ -218,6 +227,7 @@ def _present(result: JointResult) -> Report:
     plates = " ".join(plate_argument(specimen) for specimen in result.plates)
     wrong = [plate.name for plate, slips in zip(result.plates, result.explained_by, strict=True) if slips]
     steps = (
+        *_contradictions(result),
         *((correction_step(result.texts(), wrong),) if wrong else ()),
         f"is anything wrong with a plate or a list?  cpam-bayes diagnose {plates}",
     )
