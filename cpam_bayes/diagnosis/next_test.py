@@ -23,15 +23,23 @@ from cpam_bayes.forward_model.model import ForwardModel, PlateModel, model_on_ba
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate import Sensor
+from cpam_bayes.plate import Plate, Sensor
 from cpam_bayes.plate.edges import ALL_FREE, CANTILEVER, conditions
 from cpam_bayes.running import single_blas_thread
 
 # Further modes; a known mass over the plate's, and its distance from a corner over the sides.
 MORE_MODES = 4
 _MASS_SHARE, _CORNER = 0.02, 0.05
-# Relative standard deviations of weighing and of measuring the thickness at many points.
+# Relative standard deviations of weighing and of measuring the thickness at many points; the test in words.
 WEIGHED, GAUGED = 1e-3, 3e-3
+_MEASURED = {"mass": WEIGHED, "thickness": GAUGED}
+_IN_WORDS = {
+    ("mass", "thickness"): (
+        f"weighing the plate to {100 * WEIGHED:g} % and gauging its thickness to {100 * GAUGED:g} %"
+    ),
+    ("mass",): f"weighing the plate to {100 * WEIGHED:g} %",
+    ("thickness",): f"gauging the thickness of the plate to {100 * GAUGED:g} %",
+}
 # Draws that the model of a test is solved at, at least, and for each term of the response that carries it to
 # the other draws, as far as so many standard deviations beyond these.
 _SOLVED, _PER_TERM, _BEYOND = 96, 2.5, 1.0
@@ -110,9 +118,19 @@ def further_tests(
         tests.append(FurtherTest(name, text, loaded))
     text = f"a sister plate of the same material, {n} modes"
     tests.append(FurtherTest("sister_plate", text, lambda: lambda t: _sister(t, about, case, scatter)))
-    text = f"weighing the plate to {100 * WEIGHED:g} % and gauging its thickness to {100 * GAUGED:g} %"
-    tests.append(FurtherTest("weighing", text, lambda: lambda t: _weighing(t, about, case)))
+    asked = unknown_sizes(plate)
+    if asked:
+        tests.append(
+            FurtherTest("weighing", _IN_WORDS[asked], lambda: lambda t: _weighing(t, about, case, asked))
+        )
     return tests
+
+
+def unknown_sizes(plate: Plate) -> tuple[str, ...]:
+    """Mass and thickness, less what is known as well already as a balance and a gauge tell it."""
+    known = {name: sd / plate.sizes[name] for name, sd in plate.known_to.items()}
+    # what is stated to the same figure may differ by rounding
+    return tuple(name for name, sd in _MEASURED.items() if known.get(name, np.inf) > sd * (1.0 + 1e-6))
 
 
 def places(edges: str) -> list[tuple[str, str, tuple[float, float]]]:
@@ -277,8 +295,8 @@ def _sister(t: Tested, about: int, case: PlateCase, scatter: float) -> Predicted
     return replace(predicted, missing=predicted.missing + slope @ slope.T, as_now=False)
 
 
-def _weighing(t: Tested, about: int, case: PlateCase) -> Predicted:
-    """Mass, kg, and thickness, m, of the plate; what a clamp holds is not weighed."""
+def _weighing(t: Tested, about: int, case: PlateCase, asked: Sequence[str] = tuple(_MEASURED)) -> Predicted:
+    """Mass, kg, and thickness, m, of the plate, as asked; what a clamp holds is not weighed."""
     drawn = _drawn(t, about)
     problem, facts = case.models.problem, case.models.facts
     names = list(case.models.parameters.names)
@@ -291,8 +309,10 @@ def _weighing(t: Tested, about: int, case: PlateCase) -> Predicted:
     values = dict(zip(names, drawn.v.T, strict=True))
     state = problem.state({name: values[name] for name in problem.parameters.names})
     one = np.ones(len(drawn.v))
-    y = np.stack((state.density * state.thickness * state.area * one, state.thickness * one), axis=1)
-    return Predicted(y, np.zeros((2, 2)), np.array([WEIGHED, GAUGED]), as_now=False)
+    of = {"mass": state.density * state.thickness * state.area, "thickness": state.thickness}
+    y = np.stack([of[name] * one for name in asked], axis=1)
+    noise = np.array([_MEASURED[name] for name in asked])
+    return Predicted(y, np.zeros((len(asked), len(asked))), noise, as_now=False)
 
 
 # Causes that tests are to tell apart: until they have so much probability, so many at most, in so many
@@ -346,8 +366,9 @@ def next_measurements(
     """Tests of the plate that the leading cause is about, the most informative first.
 
     Another edge condition, four more modes, a known mass at a corner and at the centre, a sister plate of
-    the same material, weighing and gauging. Every hypothesis predicts the data from its own posterior, with
-    the noise of the list or, where it was inferred, what the hypothesis says of it.
+    the same material, weighing and gauging where the file does not state as much. Every hypothesis predicts
+    the data from its own posterior, with the noise of the list or, where it was inferred, what the
+    hypothesis says of it.
 
     always : also where nothing is wrong or the cause is named
     executor : where that is done

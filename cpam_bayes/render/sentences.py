@@ -288,6 +288,10 @@ def errors_table(errors: Sequence[ScaleError], constants: Sequence[str]) -> Tabl
     return Table("What an error of a size does to the constants", columns, rows)
 
 
+# What a balance tells.
+_WEIGHED: Final = frozenset({"mass", "density"})
+
+
 def gauge_step(specimen: Specimen, errors: Sequence[ScaleError], constants: Sequence[str]) -> tuple[str, ...]:
     """The numbers of the plate whose tolerances the plate file should state; none where they do no harm."""
     names = [
@@ -301,7 +305,12 @@ def gauge_step(specimen: Specimen, errors: Sequence[ScaleError], constants: Sequ
         )
     ]
     known = f"{listed(names, 'and')} {'is' if len(names) == 1 else 'are'} known"
-    return (f"state in the plate file how exactly {known}: gauge and weigh the plate.",) if names else ()
+    verbs = [
+        *(["gauge"] if set(names) - _WEIGHED else []),
+        *(["weigh"] if set(names) & _WEIGHED else []),
+    ]
+    how = f"{' and '.join(verbs)} the plate"
+    return (f"state in the plate file how exactly {known}: {how}.",) if names else ()
 
 
 def _digits(c: Constant, value: float) -> str:

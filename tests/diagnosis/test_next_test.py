@@ -198,6 +198,34 @@ def test_weighing_and_gauging_see_a_thicker_plate() -> None:
 
 
 @pytest.mark.parametrize(
+    ("mass", "sd", "asked"),
+    [
+        (None, {}, ("mass", "thickness")),
+        (0.34, {}, ("mass", "thickness")),  # usually known to 0.2 and 1 %
+        (0.34, {"mass": 0.34 * further.WEIGHED}, ("thickness",)),
+        (0.34, {"thickness": 1e-6}, ("mass",)),
+        (None, {"thickness": 1e-6, "density": 1.0}, ("mass",)),
+        (0.34, {"mass": 1e-4, "thickness": 1e-6}, ()),
+    ],
+)
+def test_what_the_file_states_as_well_is_not_to_be_measured(
+    mass: float | None, sd: dict[str, float], asked: tuple[str, ...]
+) -> None:
+    own = plate(0.02 * BUMP)
+    specimen = replace(builtin("C1"), plate=replace(builtin("C1").plate, mass=mass, sd=sd))
+    own = replace(
+        own, models=replace(own.models, specimen=specimen, problem=plate_problem(specimen, CONSTANTS))
+    )
+    tests = {test.name: test for test in further.further_tests([own], 0, 3, 0.02)}
+    assert further.unknown_sizes(specimen.plate) == asked
+    assert ("weighing" in tests) == bool(asked)
+    if asked:
+        said = tests["weighing"].description
+        assert ("weighing" in said, "gauging" in said) == ("mass" in asked, "thickness" in asked)
+        assert tests["weighing"].prepare()(made(NOTHING, own)).y.shape[1] == len(asked)
+
+
+@pytest.mark.parametrize(
     ("kind", "beside", "is_asked"),
     [
         *((kind, {}, True) for kind in ("class", "pair", "other", "undecided")),

@@ -105,7 +105,13 @@ def test_intervals_name_what_they_contain_and_the_largest_error_that_they_do_not
     assert "frequency scale" in intervals_sentence(gauged, known, ["E1"])
     assert "thickness" in intervals_sentence(specimen.plate, (), ["E1"], found=["thickness"])
     (step,) = gauge_step(specimen, errors, ["E1"])
-    assert "thickness and density are known" in step
+    assert step.endswith("thickness and density are known: gauge and weigh the plate.")
+    # nothing is asked for that the file states
+    for stated, left in (("density", "thickness is known: gauge"), ("thickness", "density is known: weigh")):
+        (step,) = gauge_step(
+            replace(specimen, plate=replace(specimen.plate, sd={stated: 1e-5})), errors, ["E1"]
+        )
+        assert step.endswith(f"{left} the plate.")
     table = errors_table(known, ["E1"])
     assert [row[1] for row in table.rows] == ["-3.0", "-2.0", "+1.0", "-2.0"]
 
