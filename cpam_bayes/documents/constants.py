@@ -256,12 +256,10 @@ class Convergence(TypedDict):
 
 
 class Diagnostics(Convergence):
-    """The chains and their speed."""
+    """The chains and their time."""
 
     burn_in: int
-    ess_per_second: Annotated[Number, Field(description="1/s")]
-    ess_per_second_in_all: Annotated[Number, Field(description="1/s")]
-    seconds_sampling: Annotated[Number, Field(description="s")]
+    seconds_sampling: Seconds
 
 
 class SampledIdentify(ModelAnswer, ByShape):

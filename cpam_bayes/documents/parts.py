@@ -31,7 +31,7 @@ Contraction: TypeAlias = Annotated[Number, Field(description="1 - (sd / sd of th
 ResidualPercent: TypeAlias = Annotated[Number, Field(description="predicted / measured - 1, %")]
 WorstError: TypeAlias = Annotated[Number, Field(description="of the worst frequency, a fraction")]
 AirDensity: TypeAlias = Annotated[Number, Field(description="kg/m3, null for vacuum")]
-Seconds: TypeAlias = Annotated[float, Field(description="wall clock, s")]
+Seconds: TypeAlias = Annotated[float, Field(description="wall clock, s, which no seed repeats")]
 Texts: TypeAlias = list[str]
 Pair: TypeAlias = Annotated[list[float], Field(min_length=2, max_length=2)]
 Places: TypeAlias = list[Pair]

@@ -182,7 +182,5 @@ def _diagnostics(result: SampledResult) -> dict[str, Any]:
     d = result.result.diagnostics
     return {
         **_fields(d, "r_hat", "ess_bulk", "autocorrelation_time", "converged", "steps", "burn_in"),
-        "ess_per_second": result.ess_per_second,
-        "ess_per_second_in_all": d.ess_bulk / result.seconds,
         "seconds_sampling": result.seconds_sampling,
     }
