@@ -25,6 +25,7 @@ class Verdict(Enum):
     PRIOR = "determined by the prior"
     MISFIT = "not determined, the model misfits"
     """The noise does not explain the misfit: what the frequencies determine is no constant of the plate."""
+    UNCONVERGED = "not known, the chains did not converge"
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +96,7 @@ class Constant:
     def is_open(self) -> bool:
         """Whether the frequencies leave the value open, so that it must not be used."""
         held = self.bound is not None or bool(self.elsewhere) or not math.isfinite(self.sd)
-        return held or self.verdict is Verdict.PRIOR
+        return held or self.verdict in (Verdict.PRIOR, Verdict.UNCONVERGED)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import cpam_bayes as cb
 from cpam_bayes import running
+from cpam_bayes.answer import Verdict
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.parallel import run
 from cpam_bayes.questions import sequence
@@ -122,6 +123,12 @@ def test_emcee_ends_after_a_round_and_goes_on_from_the_store(tmp_path: Any) -> N
     assert not cut.reached_goal
     assert left_out(cut)["cut_chains"] == {"done": 20, "of": 10000}
     assert list(tmp_path.glob("*"))
+    # nothing is said to be determined by chains that were cut off
+    assert {c.verdict for c in (*cut.constants.values(), *cut.sizes.values())} == {Verdict.UNCONVERGED}
+    said = cut.report().summary
+    assert said.headline == "The chains did not converge: do not use this answer."
+    assert said.next_step == "allow more time: --time-limit S."
+    assert "determine" not in cut.summary()
 
 
 @pytest.mark.slow

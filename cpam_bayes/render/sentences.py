@@ -80,6 +80,8 @@ def determined_text(c: Constant) -> str:
     if c.elsewhere:
         others = listed([_digits(c, value) for value in c.elsewhere], "or")
         return f"not determined: {others} fits as well"
+    if c.verdict is Verdict.UNCONVERGED:
+        return "not known: the chains did not converge"
     if c.verdict is Verdict.MISFIT:
         return "not determined: the model does not fit"
     if c.verdict is Verdict.PRIOR:

@@ -52,6 +52,7 @@ def test_a_constant_has_its_unit_and_the_digits_of_its_spread() -> None:
         (replace(NU12, prior=TruncatedNormal(0.3, 0.05, 0.15, 0.45)), ("partly", "0.3 +- 0.05")),
         (replace(E1, verdict=Verdict.PRIOR), ("not determined",)),
         (replace(E1, verdict=Verdict.MISFIT), ("not determined", "fit")),
+        (replace(E1, verdict=Verdict.UNCONVERGED), ("not known", "converge")),
         (replace(E1, bound="lower"), ("not determined", "lower bound")),
         (replace(E1, elsewhere=(100e9,)), ("not determined", "100.0")),
         (replace(E1, rests_on=("nu12",)), ("determined", "nu12")),

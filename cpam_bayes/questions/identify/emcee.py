@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal, get_args
 
@@ -356,6 +357,7 @@ def _summarise(
     left = _residuals(measurement, predicted, pairing)
     inferred = posterior.noise_is_inferred
     explained = inferred or misfit_over_noise(measurement, left, len(names)) == 1.0
+    judged = partial(_constant, specimen, posterior, converged=result.status == "converged")
     marginals = {
         p.name: _marginal(p.prior, x) for p, x in zip(posterior.parameters.parameters, draws.T, strict=True)
     }
@@ -363,7 +365,7 @@ def _summarise(
     by_basis = basis_error(model, few[:_CHECKED_DRAWS, :n]).max(axis=0)
     constants = {
         name: replace(
-            _constant(specimen, posterior, name, marginals[name], explained=explained),
+            judged(name, marginals[name], explained=explained),
             rests_on=tuple(r.on for r in relied_on if r.name == name),
         )
         for name in names
@@ -383,7 +385,7 @@ def _summarise(
         posterior=posterior,
         constants=constants,
         sizes={
-            name: _constant(specimen, posterior, name, m, explained=True)
+            name: judged(name, m, explained=True)
             for name, m in marginals.items()
             if name in SIZES or name == FREQUENCY_SCALE
         },
@@ -526,9 +528,15 @@ def _marginal(prior: Prior, draws: Array) -> Marginal:
 
 
 def _constant(
-    specimen: Specimen, posterior: Posterior, name: str, marginal: Marginal, *, explained: bool
+    specimen: Specimen,
+    posterior: Posterior,
+    name: str,
+    marginal: Marginal,
+    *,
+    explained: bool,
+    converged: bool,
 ) -> Constant:
-    """A constant, or a size; explained : whether the noise explains the misfit."""
+    """A constant, or a size; explained : whether the noise explains the misfit; converged : of the chains."""
     parameter, at_bound = posterior.parameters[name], marginal.bound is not None
     return Constant(
         name=name,
@@ -537,7 +545,9 @@ def _constant(
         interval=(marginal.q025, marginal.q975),
         prior=parameter.prior,
         reference=_reference(specimen, name),
-        verdict=verdict_of(marginal.sd, parameter.unmeasured_sd, at_bound=at_bound, explained=explained),
+        verdict=verdict_of(marginal.sd, parameter.unmeasured_sd, at_bound=at_bound, explained=explained)
+        if converged
+        else Verdict.UNCONVERGED,
     )
 
 

@@ -88,9 +88,11 @@ def _present(result: SampledResult) -> Report:
     modes, peaks = _modes(result), peak_rows(specimen.measurement, result.frequencies)
     residuals = np.array([row.residual for row in result.frequencies if row.residual is not None])
     rms = float(np.sqrt(np.mean(residuals**2))) if residuals.size else math.nan
-    headline = constants_headline(constants, residuals.size)
-    if result.status == "budget":
-        headline = f"The chains did not converge: do not use this answer. {headline}"
+    headline = (
+        "The chains did not converge: do not use this answer."
+        if result.status == "budget"
+        else constants_headline(constants, residuals.size)
+    )
     return Report(
         summary=result.screen(
             headline=headline,
@@ -183,15 +185,26 @@ def _steps(result: SampledResult, use: Sequence[str]) -> tuple[str, ...]:
     """Next steps, the most useful first."""
     specimen = result.specimen
     mismatch = mismatch_step(specimen, result.notices, [row.label for row in result.frequencies])
-    return (
+    first = (
         *((correction_step(result.texts()),) if result.explained_by else ()),
-        *(("allow more steps: --steps N.",) if result.status == "budget" else ()),
+        *(_longer_chains(result) if result.status == "budget" else ()),
         *(() if result.explained_by else mismatch),
         diagnose_step(specimen),
+    )
+    if result.status == "budget":
+        return first
+    return (
+        *first,
         *attached_step(specimen),
         *gauge_step(specimen, result.scale_errors, use),
         *more_modes_step(tuple(result.constants.values())),
     )
+
+
+def _longer_chains(result: SampledResult) -> tuple[str, ...]:
+    """What lets chains converge that did not: time, where that was up, or steps."""
+    late = any(n.code == "time_up" and "cut_chains" in dict(n.facts["missing"]) for n in result.notices)
+    return (f"allow more {'time: --time-limit S' if late else 'steps: --steps N'}.",)
 
 
 def _at_bounds(result: SampledResult) -> tuple[str, ...]:
