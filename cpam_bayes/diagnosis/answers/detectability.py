@@ -148,64 +148,74 @@ _LARGEST_EXPONENT = 680.0
 
 @dataclass(frozen=True, slots=True)
 class _Gaussians:
-    """Sum of weighted normal densities of residuals of the log frequencies (n_f,), with one mean.
+    """Weighted normal densities of residuals of the log frequencies (n_f,).
 
     log_weight : (g,) with the constants of the densities
+    means : (g, n_f)
     roots : (g, n_f, n_f), root^T root the precision
     """
 
     log_weight: Array
-    mean: Array
+    means: Array
     roots: Array
 
     @staticmethod
     def of(mean: Array, covariances: Array, log_weight: float) -> _Gaussians:
-        """Equally probable ones with covariances (g, n_f, n_f)."""
+        """Equally probable ones with one mean and covariances (g, n_f, n_f)."""
         factor = np.linalg.cholesky(covariances)
         log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-        return _Gaussians(log_weight - log_det - float(np.log(len(covariances))), mean, np.linalg.inv(factor))
+        each = log_weight - log_det - float(np.log(len(covariances)))
+        return _Gaussians(each, np.tile(mean, (len(covariances), 1)), np.linalg.inv(factor))
 
-    def log_density(self, noise: Array, shift: Array) -> Array:
-        """Log density of residuals noise + shift, (n, n_f) and (m, n_f) -> (n, m)."""
-        turned = np.swapaxes(self.roots, 1, 2)
-        a, b = (noise - self.mean) @ turned, shift @ turned
-        squares = 2.0 * a @ np.swapaxes(b, 1, 2)
-        squares += np.einsum("gni,gni->gn", a, a)[:, :, None] + np.einsum("gmi,gmi->gm", b, b)[:, None]
-        return log_sum_exp(self.log_weight[:, None, None] - 0.5 * squares, axis=0)
+    @staticmethod
+    def joined(parts: Sequence[_Gaussians]) -> _Gaussians:
+        """All of them, in this order."""
+        each = ([getattr(g, name) for g in parts] for name in ("log_weight", "means", "roots"))
+        return _Gaussians(*(np.concatenate(of) for of in each))
 
 
 @dataclass(frozen=True, slots=True)
 class _Level:
     """One level of the noise.
 
-    plain : density of the residuals under the plain model
-    nodes : (k, n_f) of all lines, times the root of the precision, those of one cause together
+    root : (n_f, n_f) of the precision of the plain model
+    nodes : (k, n_f) of all lines, times this root, those of one cause together
     log_prior : (k,) of the nodes, less half their squared norms
-    factor : (n, k) exp(y . nodes) of the simulated noise
-    blocks : rows of ``nodes`` by cause
-    others : densities under each cause that has no line, none among them
+    factors : (n, k_c) exp(y . nodes) of the simulated noise for the nodes of each cause
+    densities : of the residuals, under the plain model and then under each cause that has no line
+    firsts : first densities of these causes
+    white : (g, n, n_f) the simulated noise, centred and times the root of each density
     """
 
-    plain: _Gaussians
+    root: Array
     nodes: Array
     log_prior: Array
-    factor: Array
-    blocks: tuple[slice, ...]
-    others: tuple[tuple[_Gaussians, ...], ...]
+    factors: tuple[Array, ...]
+    densities: _Gaussians
+    firsts: Array
+    white: Array
 
-    def log_evidences(self, noise: Array, shift: Array) -> Array:
-        """Log evidences of all causes, (n_causes, n, m), for noise (n, n_f) and shifts (m, n_f)."""
-        plain = self.plain.log_density(noise, shift)
-        exponent = self.nodes @ (shift @ self.plain.roots[0].T).T + self.log_prior[:, None]
+    def log_evidences(self, shift: Array) -> Array:
+        """Log evidences of all causes, (n_causes, n, m), for the noise and shifts (m, n_f)."""
+        turned = shift @ np.swapaxes(self.densities.roots, 1, 2)
+        exponent = self.densities.log_weight[:, None] - 0.5 * np.sum(turned**2, axis=2)
+        each = exponent[:, None] - self.white @ np.swapaxes(turned, 1, 2)
+        each -= 0.5 * np.sum(self.white**2, axis=2, keepdims=True)
+        plain, others = each[0], each[1:]
+        exponent = self.nodes @ (shift @ self.root.T).T + self.log_prior[:, None]
         top = exponent.max(axis=0, initial=-np.inf)
         weight = np.exp(exponent - top)
+        n_lines, start = len(self.factors), 0
+        evidences = np.empty((n_lines + len(self.firsts), *plain.shape))
+        for evidence, factor in zip(evidences, self.factors, strict=False):
+            np.matmul(factor, weight[start : start + factor.shape[1]], out=evidence)
+            start += factor.shape[1]
         with np.errstate(divide="ignore"):
-            each = [np.log(self.factor[:, b] @ weight[b]) + top + plain for b in self.blocks]
-        each += [
-            log_sum_exp(np.stack([g.log_density(noise, shift) for g in of_cause]), axis=0)
-            for of_cause in self.others
-        ]
-        return np.stack(each)
+            evidences[:n_lines] = np.log(evidences[:n_lines]) + (top + plain)
+        highest = np.maximum.reduceat(others, self.firsts)
+        others = np.exp(others - np.repeat(highest, np.diff(self.firsts, append=len(others)), axis=0))
+        evidences[n_lines:] = np.log(np.add.reduceat(others, self.firsts)) + highest
+        return evidences
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,9 +243,7 @@ class LinearOracle:
 
     def log_weights(self, shift: Array) -> Array:
         """Log of prior times evidence of every cause for shifts (m, n_f), (n_causes, n, m)."""
-        return log_sum_exp(
-            np.stack([level.log_evidences(self.noise, shift) for level in self.levels]), axis=0
-        )
+        return log_sum_exp(np.stack([level.log_evidences(shift) for level in self.levels]), axis=0)
 
     def alike(self, shift: Array) -> Array:
         """True where a cause cannot be distinguished from the one that shifts by (m, n_f), (n_causes, m).
@@ -297,42 +305,46 @@ def linear_oracle(
     noise = _sd(none.comparison, true) * rng.standard_normal((n, len(mean)))
     names = tuple(dict.fromkeys(line.cause for line in lines))
     without = tuple(dict.fromkeys(t.hypothesis.cause for t in weighed.tested if _has_no_line(t)))
+    of_others = [
+        [
+            _densities(t, none, levels_x, log_weight)
+            for t in weighed.tested
+            if t.hypothesis.cause == cause and _has_no_line(t)
+        ]
+        for cause in without
+    ]
     levels = []
-    for x, log_w in zip(levels_x, log_weight, strict=True):
-        covariance = _covariance(none.comparison, x) + slope @ slope.T
-        plain = _Gaussians.of(mean, covariance[None], float(log_w))
+    for number, (x, log_w) in enumerate(zip(levels_x, log_weight, strict=True)):
+        covariance = _covariance(none.comparison, x[None]) + slope @ slope.T
+        plain = _Gaussians.of(mean, covariance, float(log_w))
         root = plain.roots[0]
         of_causes = [[_nodes(line, root) for line in lines if line.cause == name] for name in names]
         flat = [of_line for of_cause in of_causes for of_line in of_cause]
         ends = np.cumsum([0, *(sum(len(t) for t, _ in of_cause) for of_cause in of_causes)])
         nodes = np.concatenate([np.empty((0, len(mean))), *(t for t, _ in flat)])
         log_prior = np.concatenate([np.empty(0), *(p for _, p in flat)])
-        y = (noise - mean) @ root.T
+        exponent = np.clip((noise - mean) @ root.T @ nodes.T, -_LARGEST_EXPONENT, _LARGEST_EXPONENT)
+        others = [_Gaussians.joined([of_level[number] for of_level in of_cause]) for of_cause in of_others]
+        densities = _Gaussians.joined([plain, *others])
         levels.append(
             _Level(
-                plain,
+                root,
                 nodes,
                 log_prior - 0.5 * np.sum(nodes**2, axis=1),
-                np.exp(np.clip(y @ nodes.T, -_LARGEST_EXPONENT, _LARGEST_EXPONENT)),
-                tuple(slice(a, b) for a, b in pairwise(ends)),
-                tuple(
-                    tuple(
-                        _densities(t, none, x, float(log_w))
-                        for t in weighed.tested
-                        if t.hypothesis.cause == cause and _has_no_line(t)
-                    )
-                    for cause in without
-                ),
+                tuple(np.exp(exponent[:, a:b]) for a, b in pairwise(ends)),
+                densities,
+                np.cumsum([0, *(len(g.means) for g in others[:-1])]),
+                (noise - densities.means[:, None]) @ np.swapaxes(densities.roots, 1, 2),
             )
         )
     causes = (*names, *without)
     prior = prior_by_cause([t.hypothesis for t in weighed.tested])
     prior = {name: weighed.prior.get(name, prior[name]) for name in causes}
     middle = len(levels) // 2
-    root, sd = levels[middle].plain.roots[0], _sd(none.comparison, levels_x[middle : middle + 1])[0]
+    root, sd = levels[middle].root, _sd(none.comparison, levels_x[middle : middle + 1])[0]
     paths = _paths([line for name in names for line in lines if line.cause == name], root, sd)
     material = tuple(
-        (causes.index(t.hypothesis.cause), _densities(t, none, levels_x[middle], 0.0).roots[0])
+        (causes.index(t.hypothesis.cause), _densities(t, none, levels_x, log_weight)[middle].roots[0])
         for t in weighed.tested
         if t.hypothesis.other_material
     )
@@ -378,9 +390,9 @@ def _sd(comparison: CorrelatedDensity, x: Array) -> Array:
 
 
 def _covariance(comparison: CorrelatedDensity, x: Array) -> Array:
-    """Covariance of the log frequencies at parameters (n,), (n_f, n_f)."""
+    """Covariance of the log frequencies at parameters (m, n), (m, n_f, n_f)."""
     f = comparison.listed.frequencies
-    return np.asarray(comparison.covariance(x[None])[0] / np.outer(f, f))
+    return np.asarray(comparison.covariance(x) / np.outer(f, f))
 
 
 def _noise_levels(none: Marginal, n: int) -> tuple[Array, Array, Array]:
@@ -409,27 +421,28 @@ def _noise_levels(none: Marginal, n: int) -> tuple[Array, Array, Array]:
     return levels, log_weight, true
 
 
-def _densities(t: Tested, none: Marginal, at: Array, log_weight: float) -> _Gaussians:
-    """Densities of the residuals under a hypothesis without a line.
+def _densities(t: Tested, none: Marginal, at: Array, log_weight: Array) -> list[_Gaussians]:
+    """Densities of the residuals at every level of the noise, under a hypothesis without a line.
 
     It scatters them, lets the constants vary more, or shifts them by one step.
 
-    at : (n,) parameters of the plain model, with a level of the noise
+    at : (a, n) parameters of the plain model, which differ by the amplitudes of the noise
+    log_weight : (a,)
     """
-    log_weight += float(np.log(t.hypothesis.prior))
     comparison = t.marginal.comparison
     x = comparison.carried(none.comparison, at)
-    slope, mean = _linear(comparison, x)
+    slope, mean = _linear(comparison, x[0])
     if t.shift is not None:
         mean = mean + t.shift.shift[0]
-    if comparison.discrepancy is None:
-        covariances = _covariance(comparison, x)[None]
-    else:
+    each = x[:, None]
+    if comparison.discrepancy is not None:
         probability = (np.arange(_DISCREPANCIES) + 0.5) / _DISCREPANCIES
-        each = np.tile(x, (_DISCREPANCIES, 1))
-        each[:, comparison.discrepancy] = DISCREPANCY.prior.ppf(probability)
-        covariances = np.stack([_covariance(comparison, row) for row in each])
-    return _Gaussians.of(mean, covariances + slope @ slope.T, log_weight)
+        each = np.tile(each, (1, _DISCREPANCIES, 1))
+        each[:, :, comparison.discrepancy] = DISCREPANCY.prior.ppf(probability)
+    return [
+        _Gaussians.of(mean, _covariance(comparison, rows) + slope @ slope.T, log_w)
+        for rows, log_w in zip(each, log_weight + np.log(t.hypothesis.prior), strict=True)
+    ]
 
 
 def _nodes(line: ShiftLine, root: Array, apart: float = _APART_SD) -> tuple[Array, Array]:
