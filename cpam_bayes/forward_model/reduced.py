@@ -84,8 +84,12 @@ _FIRST_STEP, _HARDEST = 6, 12
 _TINY = 5
 # Entries of a stack of matrices that are held at once.
 _ENTRIES = 4_000_000
+# Columns over rows up to which their principal directions are singular vectors.
+_FEW_COLUMNS = 0.25
 # Parameter sets at which rigid-body motions are computed: they depend on sizes alone.
 _RIGID_SETS = 4
+# Strain energy of a motion over that of the first mode with which it is one of a rigid body.
+_FREE = 1e-6
 # Directions with less than this part of a mode are rounding; energy of those left out of a wide basis, of the
 # tolerance.
 _LEAST, _LEAST_OF_WIDE = 1e-5, 0.02
@@ -295,41 +299,52 @@ def _directions(
     projected = []
     shift = _SHIFT * known.ranked[0, known.n_rigid]
     for block, modes in zip(operator.blocks, known.blocks, strict=True):
-        energy = block.stiffness_at(known.stiffness[0]) + shift * block.mass_at(known.mass[0])
-        root = np.linalg.cholesky(energy).T
-        rigid = _principal(root @ _rigid(block, known), _LEAST)
+        mass = block.mass_at(known.mass[0])
+        root = np.linalg.cholesky(block.stiffness_at(known.stiffness[0]) + shift * mass).T
+        rigid = _principal(root @ _rigid(block, known, operator.problem.supported), _LEAST)
         shapes = root @ (modes.vectors / np.sqrt(np.abs(modes.eigenvalues))[:, None]).T
         every = np.column_stack((rigid, _principal(shapes - rigid @ (rigid.T @ shapes), least)))
         if every.shape[1]:
             every = scipy.linalg.solve_triangular(root, np.linalg.qr(every)[0])
-        projected.append((rigid.shape[1], _orthonormal(block.project(every), known.mass[0])))
+        projected.append((rigid.shape[1], block.project(_orthonormal(every, mass))))
     return projected
 
 
-def _orthonormal(block: DenseBlock, mass: Array) -> DenseBlock:
-    """A block on functions that are orthonormal in one mass (n_terms,), with the spans of the first ones."""
-    if not block.size:
-        return block
+def _orthonormal(vectors: Array, mass: Array) -> Array:
+    """Vectors (n, r) made orthonormal in a mass (n, n), with the spans of the first ones."""
+    if not vectors.shape[1]:
+        return vectors
     for _ in range(2):  # the second pass restores the digits that the first one lost
-        block = block.project(np.linalg.inv(np.linalg.cholesky(block.mass_at(mass))).T)
-    return block
+        root = np.linalg.cholesky(vectors.T @ mass @ vectors)
+        vectors = scipy.linalg.solve_triangular(root, vectors.T, lower=True).T
+    return vectors
 
 
-def _rigid(block: RitzBlock, known: _Solved) -> Array:
-    """Rigid-body motions of a block at a few parameter sets, of unit mass over a shift, (n, k)."""
-    vectors = [np.empty((block.size, 0))]
+def _rigid(block: RitzBlock, known: _Solved, supported: bool) -> Array:
+    """Rigid-body motions of a block at a few parameter sets, of unit mass over a shift, (n, k).
+
+    supported : whether they have frequencies of their own
+    """
     last = min(known.n_rigid, block.size) - 1
-    for i in np.unique(np.linspace(0, len(known.ranked) - 1, _RIGID_SETS).astype(int)) if last >= 0 else ():
-        lam, phi = block.modes(known.stiffness[i, None], known.mass[i, None], last + 1)
+    if last < 0:
+        return np.empty((block.size, 0))
+    vectors: list[Array] = []
+    for i in np.unique(np.linspace(0, len(known.ranked) - 1, _RIGID_SETS).astype(int)):
         highest, first = known.ranked[i, known.n_rigid - 1 : known.n_rigid + 1]
+        if vectors and not supported:  # the motions of other constants are the same, those of other sizes not
+            strained = vectors[0].T @ block.stiffness_at(known.stiffness[i]) @ vectors[0]
+            if np.abs(np.diagonal(strained)).sum() <= _FREE:
+                continue
+        lam, phi = block.modes(known.stiffness[i, None], known.mass[i, None], last + 1)
         vectors.append(phi[0, lam[0] <= 0.5 * (highest + first)].T / np.sqrt(first))
     return np.concatenate(vectors, axis=1)
 
 
 def _principal(columns: Array, least: float) -> Array:
     """Orthonormal principal directions of columns (n, k) above a least part, the largest first, (n, rank)."""
-    if not columns.shape[1]:
-        return np.empty((len(columns), 0))
+    if columns.shape[1] < _FEW_COLUMNS * len(columns):
+        directions, size, _ = np.linalg.svd(columns, full_matrices=False)
+        return np.asarray(directions[:, size > least])
     squares, vectors = np.linalg.eigh(columns @ columns.T)
     return np.asarray(vectors[:, squares > least**2][:, ::-1])
 
