@@ -209,13 +209,14 @@ class DenseBlock:
             k *= scale[..., :, None]
             k *= scale[..., None, :]
             return k, scale
-        factor = np.linalg.cholesky(self.mass.assemble(mass))
-        if self.size > _LARGE:  # a quarter of the work of a product with the inverse
+        if self.size > _LARGE:  # less work than a product with the inverse
+            factor = np.linalg.cholesky(self.mass.assemble(mass))
             for one, root in zip(k, factor, strict=True):
-                one[...] = lapack.dsygst(one, root, lower=1)[0]
+                lapack.dsygst(one.T, root.T, overwrite_a=1)
             return k, factor
-        back = np.swapaxes(np.linalg.inv(factor), -1, -2)
-        return np.swapaxes(back, -1, -2) @ k @ back, back
+        inverse = inverse_roots(self.mass.assemble(mass))
+        back = np.swapaxes(inverse, -1, -2)
+        return inverse @ k @ back, back
 
     def eigenvalues(self, stiffness: Array, mass: Array, n: int) -> Array:
         """The n lowest eigenvalues of m coefficient sets, (m, n)."""
@@ -312,6 +313,14 @@ class DenseBlock:
         return terms[0], terms[1]
 
 
+def inverse_roots(stack: Array) -> Array:
+    """L^-1 (..., n, n) of definite matrices L L^T (..., n, n)."""
+    roots = np.linalg.cholesky(stack)
+    for root in roots.reshape(-1, *roots.shape[-2:]):
+        lapack.dtrtri(root.T, overwrite_c=1)  # in its place, the lower half
+    return np.asarray(roots)
+
+
 def _lowest(stack: Array, n: int) -> Array:
     """The n lowest eigenvalues of symmetric matrices (m, size, size), (m, n)."""
     if stack.shape[-1] == 1:
@@ -377,10 +386,19 @@ def _largest_by_krylov(
 
 
 def _lowest_pairs(matrix: Array, n: int) -> tuple[Array, Array]:
-    """The n lowest eigenvalues (n,) of a matrix given by its lower half, and their vectors (size, n)."""
-    if n <= _FEW * len(matrix):
-        values, vectors = scipy.linalg.eigh(matrix, subset_by_index=(0, n - 1))
-        return values, vectors
+    """The n lowest eigenvalues (n,) of a matrix given by its lower half, and their vectors (size, n).
+
+    Of a few, vectors come by inverse iterations on the tridiagonal form, after all eigenvalues of it.
+    """
+    size = len(matrix)
+    if n <= _FEW * size:
+        reduced, diagonal, beside, scale, _ = lapack.dsytrd(matrix, lower=1, lwork=_WORK * size)
+        values = lapack.dsterf(diagonal, beside)[0][:n]
+        one_part = np.ones(size, dtype=np.int32)
+        vectors, failed = lapack.dstein(diagonal, beside, values, one_part, size * one_part)
+        if not failed:
+            turned = lapack.dormqr("L", "N", reduced[1:, :-1], scale, vectors[1:], _WORK * n)[0]
+            return values, np.concatenate((vectors[:1], turned))
     values, vectors = np.linalg.eigh(matrix)
     return values[:n], vectors[:, :n]
 
@@ -431,8 +449,9 @@ _LARGE = 60
 # Functions for each wanted eigenvalue from which on a Krylov method costs less; the shift over the first
 # eigenvalue, and the change of an eigenvalue over it with which the method ends.
 _FEW_OF_MANY, _KRYLOV_SHIFT, _SAME_VALUE = 20, 0.5, 1e-8
-# Fraction of the eigenpairs of a large block above which all of them, by divide and conquer, cost less.
-_FEW = 1 / 6
+# Fraction of the eigenpairs of a large block above which all of them, by divide and conquer, cost less, and
+# the number of columns that LAPACK treats at a time.
+_FEW, _WORK = 0.6, 32
 # Relative distance of eigenvalues under which an inverse iteration does not tell their vectors apart.
 _CLOSE = 1e-5
 # Relative distance from an eigenvalue at which the inverse iteration is taken.

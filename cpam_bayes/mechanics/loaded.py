@@ -25,6 +25,7 @@ from cpam_bayes.mechanics.affine import (
     DenseOperator,
     ModeVectors,
     RitzBlock,
+    inverse_roots,
     relations,
 )
 
@@ -141,8 +142,9 @@ def lowest_modes(
 
     energy, mass : K + shift M and M, (m, r, r); shift : (m, 1), or one for all
     """
-    back = np.swapaxes(np.linalg.inv(np.linalg.cholesky(energy)), 1, 2)
-    whitened = np.swapaxes(back, 1, 2) @ mass @ back
+    inverse = inverse_roots(energy)
+    back = np.swapaxes(inverse, 1, 2)
+    whitened = inverse @ mass @ back
     wanted = slice(-1 - modes.start, -1 - modes.stop, -1)
     if not vectors:
         return 1.0 / np.linalg.eigvalsh(whitened)[:, wanted] - shift, None

@@ -14,6 +14,7 @@ import numpy as np
 
 from cpam_bayes.forward_model.local.fields import FieldPart, PointValues, values_at_points
 from cpam_bayes.forward_model.model import PlateModel, Prediction, biased
+from cpam_bayes.mechanics.affine import inverse_roots
 from cpam_bayes.mechanics.loaded import (
     LoadedBlock,
     PlateModes,
@@ -146,8 +147,9 @@ def changed_plate(
 
 def _whitened(energy: Array, mass: Array, k: int) -> tuple[Array, Array]:
     """The k lowest modes (m, n, k), with an energy of one, and their masses (m, k)."""
-    back = np.swapaxes(np.linalg.inv(np.linalg.cholesky(energy)), 1, 2)
-    mu, v = np.linalg.eigh(np.swapaxes(back, 1, 2) @ mass @ back)
+    inverse = inverse_roots(energy)
+    back = np.swapaxes(inverse, 1, 2)
+    mu, v = np.linalg.eigh(inverse @ mass @ back)
     return back @ v[:, :, -k:], mu[:, -k:]
 
 
