@@ -27,7 +27,7 @@ from cpam_bayes.forward_model.local.model import (
 from cpam_bayes.forward_model.local.patch import Patch, lost_energy
 from cpam_bayes.forward_model.model import PlateModel, Prediction
 from cpam_bayes.forward_model.reduced import by_field
-from cpam_bayes.mechanics.affine import AffineOperator, DenseBlock
+from cpam_bayes.mechanics.affine import AffineOperator
 from cpam_bayes.mechanics.loaded import LoadedBlock, symmetry_parts
 from cpam_bayes.mechanics.modes import SUPPORTED_TOLERANCE
 from cpam_bayes.mechanics.problem import Array, rigid_body_count
@@ -66,11 +66,9 @@ def on_modes(full: PlateModel, x: Array, masses: Sequence[Sensor] = ()) -> Modal
     block = symmetry_parts(operator)
     stiffness, mass = full.coefficients(np.atleast_2d(x))
     wanted = rigid_body_count(problem.edges) + full.n_modes + _FURTHER
-    pairs = [
-        [_lowest(part, k, m, wanted) for part in block.parts] for k, m in zip(stiffness, mass, strict=True)
-    ]
-    ranked = [np.sort(np.concatenate([lam for lam, _ in of_set]))[:wanted] for of_set in pairs]
-    first = float(ranked[0][rigid_body_count(problem.edges)])
+    pairs = [part.modes(stiffness, mass, min(wanted, part.size)) for part in block.parts]
+    ranked = np.sort(np.concatenate([lam for lam, _ in pairs], axis=1), axis=1)[:, :wanted]
+    first = float(ranked[0, rigid_body_count(problem.edges)])
     places = [(s.x / float(problem.nominal.length), s.y / float(problem.nominal.width)) for s in masses]
     at_places = rows_at(operator.space, block.parts, np.array(places).reshape(-1, 2))
     # those of the plate itself first, then the five fields of each mass that is added
@@ -80,17 +78,14 @@ def on_modes(full: PlateModel, x: Array, masses: Sequence[Sensor] = ()) -> Modal
     ]
     highest = (SUPPORTED_TOLERANCE if problem.supported else _RIGID) * first
     bases: list[Array] = []
-    for b, (part, load) in enumerate(zip(block.parts, loads, strict=True)):
+    for part, load, (lam, v) in zip(block.parts, loads, pairs, strict=True):
         energy = part.stiffness.assemble(stiffness[0]) + _SHIFT * first * part.mass.assemble(mass[0])
-        own = [
-            (lam, v, lam <= last[-1]) for (lam, v), last in zip((p[b] for p in pairs), ranked, strict=True)
-        ]
-        rigid = np.concatenate([v[:, np.abs(lam) < highest] for lam, v, _ in own], axis=1)
-        modes = [v[:, inside & (np.abs(lam) >= highest)] for lam, v, inside in own]
+        is_rigid = np.abs(lam) < highest
+        rigid, modes = v[is_rigid].T, v[(lam <= ranked[:, -1:]) & ~is_rigid].T
         answers = scipy.linalg.solve(energy, load.T, assume_a="pos")
         root = np.linalg.cholesky(energy).T
         basis = _with_directions(np.empty((part.size, 0)), root @ by_field(operator, part, rigid), _SAME)
-        basis = _with_directions(basis, root @ np.concatenate((*modes, answers), axis=1), _RANK)
+        basis = _with_directions(basis, root @ np.concatenate((modes, answers), axis=1), _RANK)
         bases.append(scipy.linalg.solve_triangular(root, basis))
     for sensor in masses:
         problem = add_known_mass(problem, sensor.mass, sensor.x, sensor.y)
@@ -108,13 +103,6 @@ def on_modes(full: PlateModel, x: Array, masses: Sequence[Sensor] = ()) -> Modal
     projected = AffineOperator(problem, operator.space, (replace(joined, index=np.arange(joined.size)),))
     parts = field_parts(operator.space, [index], [whole])
     return ModalPlate(PlateModel(projected, full.n_modes, full.error), parts, _SHIFT * first)
-
-
-def _lowest(block: DenseBlock, stiffness: Array, mass: Array, n: int) -> tuple[Array, Array]:
-    """The n lowest eigenvalues and vectors of a block, rigid-body motions among them."""
-    k, m = block.stiffness.assemble(stiffness), block.mass.assemble(mass)
-    values, vectors = scipy.linalg.eigh(k, m, subset_by_index=(0, min(n, block.size) - 1))
-    return values, vectors
 
 
 def _with_directions(basis: Array, columns: Array, least: float) -> Array:
