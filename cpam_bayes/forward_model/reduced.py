@@ -92,7 +92,9 @@ _RIGID_SETS = 4
 _FREE = 1e-6
 # Directions with less than this part of a mode are rounding; energy of those left out of a wide basis, of the
 # tolerance.
-_LEAST, _LEAST_OF_WIDE = 1e-5, 0.02
+_LEAST, _LEAST_OF_WIDE = 1e-5, 0.012
+# Power of the frequency of a further mode with which its energy falls in a wide basis.
+_FALLING = 2.0
 # Parameter sets that are solved on a wide basis, and checked there.
 _ON_WIDE = 96
 # Shift of the energy over the lowest eigenvalue: it makes a free plate stiff.
@@ -114,7 +116,8 @@ def reduce(
     full = replace(model, operator=compressed(model.operator, *related))
 
     def fit(known: _Solved) -> PlateModel:
-        directions = _directions(full.operator, known, float(np.sqrt(_LEAST_OF_WIDE * tolerance)))
+        least = float(np.sqrt(_LEAST_OF_WIDE * tolerance))
+        directions = _directions(full.operator, known, least, _FALLING)
         return _projected(full, directions, [block.size for _, block in directions])
 
     wide = _checked(full, many[: settings.training], fit, _FURTHER_OF_WIDE, settings, rng)
@@ -289,12 +292,13 @@ def _solved_at_once(model: PlateModel, x: Array, further: int) -> _Solved:
 
 
 def _directions(
-    operator: DenseOperator, known: _Solved, least: float = _LEAST
+    operator: DenseOperator, known: _Solved, least: float = _LEAST, falling: float = 0.0
 ) -> list[tuple[int, DenseBlock]]:
     """Every block on its rigid-body motions, counted, and the principal directions of its modes.
 
-    Modes have the same energy; directions are principal in the energy of the first set, so that what is left
-    out of a mode is the error of its eigenvalue. They are made orthonormal in the mass of that set.
+    Modes have the same energy; that of those above the last one predicted falls with a power of their
+    frequency over its own. Directions are principal in the energy of the first set, so that what is left out
+    of a mode is the error of its eigenvalue. They are made orthonormal in the mass of that set.
     """
     projected = []
     shift = _SHIFT * known.ranked[0, known.n_rigid]
@@ -302,7 +306,8 @@ def _directions(
         mass = block.mass_at(known.mass[0])
         root = np.linalg.cholesky(block.stiffness_at(known.stiffness[0]) + shift * mass).T
         rigid = _principal(root @ _rigid(block, known, operator.problem.supported), _LEAST)
-        shapes = root @ (modes.vectors / np.sqrt(np.abs(modes.eigenvalues))[:, None]).T
+        size = np.sqrt(np.abs(modes.eigenvalues) * (1.0 + modes.away) ** falling)
+        shapes = root @ (modes.vectors / size[:, None]).T
         every = np.column_stack((rigid, _principal(shapes - rigid @ (rigid.T @ shapes), least)))
         if every.shape[1]:
             every = scipy.linalg.solve_triangular(root, np.linalg.qr(every)[0])
