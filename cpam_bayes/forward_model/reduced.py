@@ -80,6 +80,8 @@ _FURTHER, _ABOVE, _MOST_ABOVE = 1, 0.3, 0.1
 _FURTHER_OF_WIDE = 10
 # First step in the search for the number of directions; modes whose sets decide it.
 _FIRST_STEP, _HARDEST = 6, 12
+# Parameter sets above which the diagonal masses of a block pay.
+_MANY = 40
 # Blocks up to this size take as long together as one of them.
 _TINY = 5
 # Entries of a stack of matrices that are held at once.
@@ -385,7 +387,8 @@ def _enough(
 
     def excess(size: int, rows: Array) -> Array:
         distinct, place = np.unique(modes.sets[rows], return_inverse=True)
-        values = _cut(block, size).eigenvalues(known.stiffness[distinct], known.mass[distinct], size)
+        cut = _leading if len(distinct) > _MANY else _cut
+        values = cut(block, size).eigenvalues(known.stiffness[distinct], known.mass[distinct], size)
         error = np.sqrt(np.abs(values[place, modes.column[rows]]) / modes.eigenvalues[rows]) - 1.0
         return np.asarray(error / allowed[rows])
 
