@@ -23,23 +23,15 @@ from cpam_bayes.forward_model.model import ForwardModel, PlateModel, model_on_ba
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import ParameterSet
-from cpam_bayes.plate import Plate, Sensor
+from cpam_bayes.plate import Sensor
 from cpam_bayes.plate.edges import ALL_FREE, CANTILEVER, conditions
 from cpam_bayes.running import single_blas_thread
 
 # Further modes; a known mass over the plate's, and its distance from a corner over the sides.
 MORE_MODES = 4
 _MASS_SHARE, _CORNER = 0.02, 0.05
-# Relative standard deviations of weighing and of measuring the thickness at many points; the test in words.
+# Relative standard deviations of weighing and of measuring the thickness at many points.
 WEIGHED, GAUGED = 1e-3, 3e-3
-_MEASURED = {"mass": WEIGHED, "thickness": GAUGED}
-_IN_WORDS = {
-    ("mass", "thickness"): (
-        f"weighing the plate to {100 * WEIGHED:g} % and gauging its thickness to {100 * GAUGED:g} %"
-    ),
-    ("mass",): f"weighing the plate to {100 * WEIGHED:g} %",
-    ("thickness",): f"gauging the thickness of the plate to {100 * GAUGED:g} %",
-}
 # Draws that the model of a test is solved at, at least, and for each term of the response that carries it to
 # the other draws, as far as so many standard deviations beyond these.
 _SOLVED, _PER_TERM, _BEYOND = 96, 2.5, 1.0
@@ -118,19 +110,17 @@ def further_tests(
         tests.append(FurtherTest(name, text, loaded))
     text = f"a sister plate of the same material, {n} modes"
     tests.append(FurtherTest("sister_plate", text, lambda: lambda t: _sister(t, about, case, scatter)))
-    asked = unknown_sizes(plate)
-    if asked:
-        tests.append(
-            FurtherTest("weighing", _IN_WORDS[asked], lambda: lambda t: _weighing(t, about, case, asked))
-        )
+    # not what the file knows as well already
+    weighs, gauges = not plate.is_weighed_to(WEIGHED), not plate.is_gauged_to(GAUGED)
+    steps = [f"weighing the plate to {100 * WEIGHED:g} %"] if weighs else []
+    steps += [f"gauging its thickness to {100 * GAUGED:g} %"] if gauges else []
+    if steps:
+
+        def weighed() -> Predict:
+            return lambda t: _weighing(t, about, case, weighs=weighs, gauges=gauges)
+
+        tests.append(FurtherTest("weighing", " and ".join(steps), weighed))
     return tests
-
-
-def unknown_sizes(plate: Plate) -> tuple[str, ...]:
-    """Mass and thickness, less what is known as well already as a balance and a gauge tell it."""
-    known = {name: sd / plate.sizes[name] for name, sd in plate.known_to.items()}
-    # what is stated to the same figure may differ by rounding
-    return tuple(name for name, sd in _MEASURED.items() if known.get(name, np.inf) > sd * (1.0 + 1e-6))
 
 
 def places(edges: str) -> list[tuple[str, str, tuple[float, float]]]:
@@ -295,8 +285,10 @@ def _sister(t: Tested, about: int, case: PlateCase, scatter: float) -> Predicted
     return replace(predicted, missing=predicted.missing + slope @ slope.T, as_now=False)
 
 
-def _weighing(t: Tested, about: int, case: PlateCase, asked: Sequence[str] = tuple(_MEASURED)) -> Predicted:
-    """Mass, kg, and thickness, m, of the plate, as asked; what a clamp holds is not weighed."""
+def _weighing(
+    t: Tested, about: int, case: PlateCase, *, weighs: bool = True, gauges: bool = True
+) -> Predicted:
+    """Mass, kg, and thickness, m, of the plate, or one of them; what a clamp holds is not weighed."""
     drawn = _drawn(t, about)
     problem, facts = case.models.problem, case.models.facts
     names = list(case.models.parameters.names)
@@ -309,10 +301,10 @@ def _weighing(t: Tested, about: int, case: PlateCase, asked: Sequence[str] = tup
     values = dict(zip(names, drawn.v.T, strict=True))
     state = problem.state({name: values[name] for name in problem.parameters.names})
     one = np.ones(len(drawn.v))
-    of = {"mass": state.density * state.thickness * state.area, "thickness": state.thickness}
-    y = np.stack([of[name] * one for name in asked], axis=1)
-    noise = np.array([_MEASURED[name] for name in asked])
-    return Predicted(y, np.zeros((len(asked), len(asked))), noise, as_now=False)
+    y = np.stack((state.density * state.thickness * state.area * one, state.thickness * one), axis=1)
+    asked = np.array([weighs, gauges])
+    y, noise = y[:, asked], np.array([WEIGHED, GAUGED])[asked]
+    return Predicted(y, np.zeros((len(noise), len(noise))), noise, as_now=False)
 
 
 # Causes that tests are to tell apart: until they have so much probability, so many at most, in so many

@@ -182,6 +182,18 @@ class Plate:
         """How well each of these is known, SI: the standard deviation that is stated, else the usual one."""
         return {name: self.sd.get(name, USUAL_SD[name] * value) for name, value in self.sizes.items()}
 
+    def is_weighed_to(self, sd: float) -> bool:
+        """Whether the mass is known to a relative standard deviation."""
+        return self._is_known_to("mass", sd)
+
+    def is_gauged_to(self, sd: float) -> bool:
+        """Whether the thickness is known to a relative standard deviation."""
+        return self._is_known_to("thickness", sd)
+
+    def _is_known_to(self, name: str, sd: float) -> bool:
+        # what is stated to the same figure may differ by rounding
+        return name in self.sizes and self.known_to[name] <= sd * (1.0 + 1e-6) * self.sizes[name]
+
 
 @dataclass(frozen=True, slots=True)
 class Constraint:
