@@ -352,6 +352,19 @@ def test_evidence_of_a_linear_model_with_normal_priors_is_the_closed_form() -> N
     np.testing.assert_allclose(own.scores.to_x(optima.z[0]), at, atol=1e-5)
 
 
+def test_a_density_less_its_prior_is_the_likelihood_over_scores() -> None:
+    own = some_posterior("uniform")
+    z = scores_of(own, 4)
+    left = own.expand(z).without_prior(z, np.ones(3))
+    constant = own.scores.log_prior(np.zeros((1, 3)))[0]
+    np.testing.assert_allclose(left.value, own.log_likelihood(own.scores.to_x(z)) + constant, rtol=1e-12)
+    slope = own.scores.slope(own.scores.to_x(z), z)
+    likelihood = own.expand_likelihood(own.scores.to_x(z))
+    np.testing.assert_allclose(left.gradient, likelihood.gradient * slope, rtol=1e-9, atol=1e-9)
+    curvature = likelihood.curvature * slope[:, :, None] * slope[:, None, :]
+    np.testing.assert_allclose(left.curvature, curvature, rtol=1e-9, atol=1e-9)
+
+
 def test_what_is_left_out_of_the_priors_leaves_the_most_likely_parameters() -> None:
     own = plate_posterior(LinearModel(NORMAL), measurement(0.05), np.zeros(4))
     z = maximised(own, np.zeros((1, 2)), 60, 1e-12, weight=1.0).z[0]
