@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from shutil import copy, copytree
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from emcee.autocorr import integrated_time
 from scipy.stats import norm
 
 from cpam_bayes.forward_model.model import Prediction
-from cpam_bayes.inference import ensemble
+from cpam_bayes.inference import ensemble, sampling
 from cpam_bayes.inference.ensemble import (
     Diagnostics,
     EnsembleResult,
@@ -515,6 +516,16 @@ def test_evidence_of_chains_counts_both_peaks_also_where_they_miss_one() -> None
     expected = integral(own, (WIDE, WIDE))
     for chain in (result.chain, right):
         agrees(evidence_of(own, replace(result, chain=chain)), expected, near=1e-3)
+
+
+def test_every_peak_that_chains_hold_counts_without_draws_of_the_prior(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    own, n = two_peaks(), EnsembleSettings().walkers
+    monkeypatch.setattr(sampling, "POLISHED", replace(sampling.POLISHED, log2_draws=0))
+    chain = np.tile([[1.0, -0.7], [-1.0, 1.3]], (1, 10, n // 2, 1))
+    result: Any = SimpleNamespace(draws=chain.reshape(-1, 2), log_prob=np.zeros(chain.shape[:3]))
+    agrees(evidence_of(own, result), integral(own, (WIDE, WIDE)), near=1e-3)
 
 
 def test_an_evidence_on_a_narrow_basis_is_that_on_the_whole_one_once_draws_are_reweighted() -> None:
