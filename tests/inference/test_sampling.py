@@ -273,6 +273,21 @@ def test_walkers_about_an_optimum_in_a_corner_of_the_bounds_are_drawn_once_each(
     assert np.linalg.matrix_rank(found - found.mean(axis=0)) == 2
 
 
+@pytest.mark.parametrize("width", [1.0, 1e-4], ids=["a half", "a sliver"])
+def test_walkers_beside_a_constraint_satisfy_it_and_span_what_is_left(width: float) -> None:
+    own = independent((3.0, 7.0))
+
+    def allowed(x: np.ndarray) -> np.ndarray:
+        left = 0.8 - x.sum(axis=1)
+        return (left > 0.0) & (left < width)
+
+    beside = replace(own, model=replace(own.model, allowed=allowed))
+    inside = np.array([[0.2, 0.6 - 0.5 * min(width, 0.01)]])
+    found = start_positions(beside, inside, np.zeros(1), 60, np.random.default_rng(0))
+    assert np.all(np.isfinite(beside.log_prob(found)))
+    assert np.linalg.matrix_rank(found - found.mean(axis=0), tol=1e-9) == 2
+
+
 def test_noise_that_is_inferred_is_started_from_the_residuals() -> None:
     own = posterior(None)
     walkers = start(own).reshape(-1, 3)
