@@ -226,7 +226,7 @@ def summarise(
     modes = model.full.modes(best)
     predicted = prediction.frequencies[0, order]
     if posterior is not None:
-        predicted = predicted + posterior.by_sizes
+        predicted = predicted * posterior.by_sizes
     relative = predicted / measurement.frequencies - 1.0
     rms = float(np.sqrt(np.mean(relative**2)))
     noise, inferred = _noise(measurement, relative, unknowns.size)
@@ -303,7 +303,7 @@ class _Sampled:
 
     excess : factor by which the stated noise is widened
     optima : of the density, the best one first, that the noise does not tell apart
-    by_sizes : (n_f,) Hz, what the most probable errors of sizes and mass change there
+    by_sizes : (n_f,) factors on the frequencies there, by the most probable errors of sizes and mass
     alone : as of `PointEstimate`
     """
 
@@ -323,15 +323,21 @@ def _about_optima(specimen: Specimen, searched: Search) -> _Sampled:
     starts = np.array([optimum.x for optimum in searched.optima])
     found: list[tuple[Draws, float]] = []
     listed: tuple[Optimum, ...] = ()
-    by_sizes = np.zeros(measurement.size)
+    by_sizes = np.ones(measurement.size)
     bounds = tuple(replace(p, prior=Uniform(p.prior.lower, p.prior.upper)) for p in unknowns.parameters)
     alone = replace(specimen, unknowns=ParameterSet(bounds, unknowns.fixed))
     for of in (specimen, alone) if any(not p.prior.is_range for p in unknowns.parameters) else (specimen,):
         density, widened = lists_density([(of, model)], at[None], 0.0)
         optima = optima_about(density, starts, noise)
+        if widened[0] > 1.0:
+            # sizes may explain what the constants of the search, with sizes as stated, do not
+            there = density.scores.to_x(optima.z[0])[:n]
+            density, widened = lists_density([(of, model)], there[None], 0.0)
+            optima = optima_about(density, np.vstack((there, starts)), noise)
         found.append((sampled(density, optima, n), float(widened[0])))
         if not listed:
-            listed, by_sizes = _optima(density, optima, searched.optima), density.common_part(optima.z[:1])[0]
+            listed = _optima(density, optima, searched.optima)
+            by_sizes = np.exp(density.common_part(optima.z[:1])[0] / measurement.frequencies)
     explained = found[0][1] == 1.0
     each = [sampled_constants(alone, draws, (), explained=explained) for draws, _ in found[1:]]
     return _Sampled(found[0][1], found[0][0], listed, by_sizes, each[0] if each else ())

@@ -27,6 +27,7 @@ from cpam_bayes.forward_model.preconditions import (
     require_seed,
     require_supported,
     require_whole,
+    stated_slips,
 )
 from cpam_bayes.forward_model.three_dimensions import theory_bias
 from cpam_bayes.mechanics.modes import Mode
@@ -213,7 +214,12 @@ def _predicted(
     error = model.full.error
     return PredictionResult(
         seed=seed,
-        notices=(*differing, *_held_elsewhere(specimen, stored), *error_notices(error)),
+        notices=(
+            *stated_slips(specimen),
+            *differing,
+            *_held_elsewhere(specimen, stored),
+            *error_notices(error),
+        ),
         specimen=specimen,
         air_shifts=air_shifts(specimen),
         posterior=stored,

@@ -72,6 +72,7 @@ from cpam_bayes.stacking.notices import stacking_notices
 from cpam_bayes.stacking.posterior import (
     StackingMixture,
     inference_data,
+    model_of,
     n_sampled_classes,
     sample_mixture,
     stacking_posterior,
@@ -243,7 +244,7 @@ def stacking_result(
     listed = np.flatnonzero(fit.mode >= 0)
     taken_up = absorbed(
         layup,
-        answer.conditional.model.full,
+        model_of(layup, answer.conditional.model),
         {name: fit.constants[name] for name in unknowns.names},
         fit.mode[listed],
         {name: unknowns[name].prior.sd for name in unknowns.names},

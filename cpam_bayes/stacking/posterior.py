@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.known_errors import common_errors
-from cpam_bayes.forward_model.model import angle_parameters, reference_vector
+from cpam_bayes.forward_model.model import PlateModel, angle_parameters, converged_model, reference_vector
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.three_dimensions import (
     THEORY_LEVEL,
@@ -179,6 +179,16 @@ def with_angles(specimen: Specimen, angles: Array) -> Specimen:
     return replace(specimen, plate=replace(specimen.plate, layup=layup))
 
 
+def model_of(sequence: Specimen, model: ReducedModel) -> PlateModel:
+    """The full model of a specimen with known angles, whose reduced model has them as parameters.
+
+    Its space is its own: that of all sequences has more functions where some couple bending with stretching.
+    """
+    own = converged_model(sequence, sequence.unknowns, model.n_modes)
+    problem = replace(own.operator.problem, bias=model.full.operator.problem.bias)
+    return replace(own, operator=replace(own.operator, problem=problem))
+
+
 def _nearest(as_stated: ConditionalPosterior, grid: Array, library: Array, rng: np.random.Generator) -> Array:
     """Of sequences drawn evenly that whose frequencies come nearest the list, (k,) degrees."""
     drawn = np.unique(rng.choice(grid, size=(_TRIED, as_stated.n_angles)), axis=0)
@@ -209,7 +219,8 @@ def _in_common(specimen: Specimen, model: ReducedModel, angles: Array) -> Array:
     one = with_angles(specimen, angles)
     values = dict(zip(model.parameters.names, reference_vector(specimen, model.parameters), strict=True))
     constants = {name: float(values[name]) for name in specimen.unknowns.names}
-    return np.array(list(common_errors(one, model.full, constants, np.arange(model.n_modes)).values()))
+    own = model_of(one, model)
+    return np.array(list(common_errors(one, own, constants, np.arange(model.n_modes)).values()))
 
 
 def _common(errors: Array, measurement: Measurement) -> tuple[CommonErrors, Array]:

@@ -260,6 +260,21 @@ def test_a_constant_of_which_the_list_says_little_keeps_what_was_known_of_it() -
     assert found.sd == pytest.approx(0.003, rel=0.1)
 
 
+@pytest.mark.parametrize("thinner", [0.85, 0.6])
+def test_a_fit_allows_for_a_thickness_of_which_little_is_known(thinner: float) -> None:
+    stated = parse_specimen(ONE, "x")
+    other = replace(stated.plate, thickness=thinner * stated.plate.thickness)
+    f = cb.forward(replace(stated, plate=other), n_modes=8).frequencies.tolist()
+    sd = f"\n[plate.sd]\nthickness_mm = {250.0 * stated.plate.thickness}\n{EXACT}"
+    text = f"{ONE}{sd}\n[measurement]\nfrequencies_hz = {f}\nrelative_std = {NOISE}\n"
+    found = cb.identify(parse_specimen(text, "x"), seed=1)
+    assert found.estimate.rms < NOISE
+    assert found.estimate.misfit == 1.0
+    interval = found.constants["E1"].interval
+    assert interval is not None
+    assert interval[0] < 69e9 < interval[1]
+
+
 EXAMPLE = (Path(__file__).parents[2] / "examples" / "panel.toml").read_text(encoding="utf-8")
 PANEL = re.sub(r"\[plate\.sd\].*?(?=\[material\])", "", EXAMPLE, flags=re.DOTALL)
 ONE_ANGLE = PANEL.replace('"[0_8]"', '"[?]"').replace("[unknowns]", "[unknowns]\nangle_grid_deg = 90.0")

@@ -149,6 +149,14 @@ def test_a_constant_that_was_held_at_another_value_is_told(tmp_path: Path) -> No
     assert notice.facts["constants"] == (("nu12", 0.3, 0.33),)
 
 
+def test_a_plate_whose_thickness_mass_and_density_disagree_is_told(tmp_path: Path) -> None:
+    path = write_posterior(
+        tmp_path / "posterior.nc", {"E1_GPa": np.linspace(68.0, 70.0, 50)}, symmetry="isotropic"
+    )
+    codes = [n.code for n in cb.predict(path, cantilever({}, mass_g=500.0), 1).notices]
+    assert codes[0] == "thicknesses_apart"
+
+
 def test_what_is_no_posterior_of_this_material_is_refused_with_what_is_accepted(
     run: Any, tmp_path: Path
 ) -> None:

@@ -1,6 +1,8 @@
 """The posterior over stacking sequences, against brute force, and against an evidence known otherwise."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,13 +10,20 @@ from scipy.stats import norm
 
 import cpam_bayes as cb
 from cpam_bayes.forward_model.build import reduced_model
-from cpam_bayes.forward_model.model import angle_parameters, reference_vector, training_sets, with_references
+from cpam_bayes.forward_model.model import (
+    angle_parameters,
+    converged_model,
+    reference_vector,
+    training_sets,
+    with_references,
+)
 from cpam_bayes.forward_model.reduced import ReducedModel, focused
 from cpam_bayes.inference.posterior import plate_posterior
 from cpam_bayes.inference.sampling import importance_evidence as known_evidence
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import Specimen, builtin, read_plate
 from cpam_bayes.stacking import conditional as sequence_importance
+from cpam_bayes.stacking import posterior as stacking
 from cpam_bayes.stacking.conditional import (
     ConditionalPosterior,
     RefinementSettings,
@@ -31,7 +40,7 @@ from cpam_bayes.stacking.symmetry import all_sequences, classes, members
 from cpam_bayes.stacking.training import TrainingSettings
 from tests.hybrids import hybrid
 from tests.plate_file import described
-from tests.stacking.cases import TRUE, listed, with_layup
+from tests.stacking.cases import TRUE, listed, unknown_plate, with_layup
 
 QUICK = StackingSettings(draws=50, listed=72, log2_points=7)
 
@@ -53,6 +62,18 @@ def distribution(answer: StackingPosterior) -> dict[tuple[float, ...], float]:
         found[tuple(angles)] = float(p)
         found[tuple(np.where(angles == 90.0, 90.0, -angles) + 0.0)] = float(p)
     return found
+
+
+@pytest.mark.slow
+def test_a_symmetric_sequence_of_an_unsymmetric_laminate_has_its_common_errors() -> None:
+    """In the space of all sequences it lacks functions of stretching."""
+    own = replace(unknown_plate("[?/?/0]", step=45.0), measurement=builtin("C1").measurement)
+    full = converged_model(own, angle_parameters(own).union(own.unknowns), 6)
+    model: Any = SimpleNamespace(full=full, n_modes=6, parameters=full.parameters)
+    for angles in ((0.0, 0.0), (45.0, 0.0)):
+        errors = stacking._in_common(own, model, np.array(angles))
+        # of a thin plate thickness and density, 1 % each, move all modes by 1 and 0.5 %
+        np.testing.assert_allclose(np.linalg.norm(errors, axis=0), np.hypot(0.01, 0.005), rtol=0.2)
 
 
 def test_probabilities_add_up_and_marginals_are_those_of_the_sequences(answer: StackingPosterior) -> None:
