@@ -2,6 +2,7 @@
 
 import copy
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -222,7 +223,9 @@ def test_a_list_that_may_lack_modes_has_one_likelihood_and_no_pareto_diagnostics
     assert len(gappy.assessment.left_out.residual) == 5
     (missed,) = document["missed_modes"]
     (said,) = (line for line in gappy.report().summary.lines if missed["label"] in line)
-    assert f"{missed['label']} near {missed['predicted_hz']:.3g}" in said
+    near = re.search(re.escape(missed["label"]) + r" near ([\d.]+) Hz", said)
+    assert near is not None
+    assert float(near[1]) == pytest.approx(missed["predicted_hz"], abs=0.6)
 
 
 @pytest.mark.slow
