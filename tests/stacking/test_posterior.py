@@ -119,7 +119,7 @@ def test_the_evidence_of_a_sequence_is_that_of_the_known_layup(relative_std: flo
         known = with_layup(specimen, specimen.plate.layup.with_angles(row))
         of_known = reduced_model(known, known.unknowns, 6)
         posterior = plate_posterior(of_known, specimen.measurement, np.full(6, 1e-4))
-        exact = known_evidence(posterior, start[None], 0)
+        exact = known_evidence(posterior, start[None])
         # two estimates with their own errors, and two reduced models that differ by 1e-4 of a frequency
         tolerance = 4 * np.hypot(exact.standard_error, found.error[i]) + 0.02
         assert found.log_evidence[i] == pytest.approx(exact.log_evidence, abs=tolerance)
