@@ -146,8 +146,7 @@ def estimate_jointly(
         own = np.concatenate([part.plate_vector(x[:1]) for part in density.model.parts])
         seeds = x[:, :n]
     draws = sampled(density, optima, n)
-    prior_sd = np.array([p.prior.sd for p in unknowns.parameters])
-    relied_on = reliances(unknowns.names, draws.covariance, prior_sd)
+    relied_on = reliances(unknowns.names, draws.covariance, unknowns.prior_sd)
     kept = optima.value > optima.value[0] - _DEPTH
     amplitudes = [math.nan if column < 0 else float(x[0, column]) for column in density.amplitudes]
     each = zip(lists, own, amplitudes, misfit.tolist(), alone, strict=True)

@@ -231,7 +231,7 @@ def summarise(
     rms = float(np.sqrt(np.mean(relative**2)))
     noise, inferred = _noise(measurement, relative, unknowns.size)
     assert prediction.jacobian is not None
-    prior_sd = np.array([unknowns[name].prior.sd for name in unknowns.names])
+    prior_sd = unknowns.prior_sd
     if posterior is not None:
         excess, covariance, optima = posterior.excess, posterior.draws.covariance, posterior.optima
     else:
