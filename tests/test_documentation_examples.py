@@ -26,7 +26,7 @@ PAGES = sorted([*PROJECT.glob("docs/*.md"), PROJECT / "README.md"])
 # Pages whose examples take more than five seconds, more than thirty, and one that runs CalculiX.
 SLOW = {
     *("README.md", "effects.md", "many_plates.md", "mode_shapes.md", "priors.md", "repeats.md"),
-    *("hybrids.md", "several_plates.md"),
+    *("coin_test.md", "from_a_hit.md", "hybrids.md", "several_plates.md"),
 }
 LONG = {
     "cluster.md",

@@ -287,7 +287,7 @@ SHORT = replace(DEFAULT_SETTINGS, most_steps=20, round_steps=20)
     [
         (cb.forward, ("forward",)),
         (partial(cb.identify, residuals="relative"), ("identify", "--residuals", "relative")),
-        (cb.diagnose, ("diagnose",)),
+        pytest.param(cb.diagnose, ("diagnose",), marks=pytest.mark.slow),
         pytest.param(
             partial(cb.sample, settings=SHORT),
             ("identify", "--backend", "emcee", "--steps", "20"),

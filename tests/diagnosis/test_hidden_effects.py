@@ -131,7 +131,7 @@ SHOWN = (
     Case("damage", FREE, 0.77, _PATCH, marks=SLOW),
     Case("viscoelastic", FREE, 0.037),
     Case("mode_identity", FREE, missed=(4,), marks=SLOW),
-    Case("outlier", FREE, on_list=_misread({5: 1.043}), marks=()),
+    Case("outlier", FREE, on_list=_misread({5: 1.043}), marks=SLOW),
     Case("clamp_rotation", CLAMPED, 0.071),
     Case("clamp_translation", CLAMPED, 0.0063, sets=True),
     Case("soft_clamp", CLAMPED, 2.3, {"ratio": 1.55}),
@@ -290,6 +290,7 @@ def test_a_weighed_plate_that_is_thinner_than_stated_is_found_so(
     assert size[1] == pytest.approx(sd[0], abs=sd[1])
 
 
+@pytest.mark.slow
 def test_all_commands_say_the_same_of_an_error_of_a_size(tmp_path: Path) -> None:
     path = tmp_path / "plate.toml"
     f = cb.forward(parse_specimen(WEIGHED, "x"), n_modes=8).frequencies.tolist()

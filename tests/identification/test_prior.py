@@ -38,6 +38,7 @@ def sampled() -> SampledResult:
     return cb.sample(PANEL, seed=0)
 
 
+@pytest.mark.slow
 def test_identify_sample_and_diagnose_answer_alike_and_right_on_the_panel_of_the_readme(
     point: PointResult, sampled: SampledResult
 ) -> None:

@@ -333,7 +333,7 @@ LONG = wave(48_000, np.tile(np.array([255, 0], np.uint8), 4_100_000))
         ("tap.wav", wave(0, np.ones(9, np.int16)), HIT, "9 samples, 0 a second, accepted: above 0"),
         ("tap.wav", wave(8, np.full(99, np.nan)), HIT, "samples that are no numbers"),
         ("tap.wav", MANY_HITS, HIT, "2000 hits, accepted: 1000 at most"),
-        ("tap.wav", LONG, HIT, "Hz, accepted: 2000000 values at most"),
+        pytest.param("tap.wav", LONG, HIT, "Hz, accepted: 2000000 values at most", marks=pytest.mark.slow),
         ("tap.csv", listed("hz,magnitude,phase [deg]", "-3,100"), {}, "magnitudes below 0, down to -3, "),
         ("tap.csv", listed("hz,magnitude,phase", "1,3.1"), {}, "phases up to 3.1 of no unit, accepted: phas"),
         (

@@ -76,6 +76,7 @@ def test_a_symmetric_sequence_of_an_unsymmetric_laminate_has_its_common_errors()
         np.testing.assert_allclose(np.linalg.norm(errors, axis=0), np.hypot(0.01, 0.005), rtol=0.2)
 
 
+@pytest.mark.slow
 def test_probabilities_add_up_and_marginals_are_those_of_the_sequences(answer: StackingPosterior) -> None:
     assert answer.enumerated == 12**2
     assert answer.classes is not None
@@ -136,6 +137,7 @@ def surrogate(specimen: Specimen) -> StackingPosterior:
     return stacking_posterior(specimen, 0, settings=FORCED)
 
 
+@pytest.mark.slow
 def test_the_surrogate_gives_the_distribution_of_brute_force(
     answer: StackingPosterior, surrogate: StackingPosterior
 ) -> None:
