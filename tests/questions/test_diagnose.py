@@ -15,6 +15,7 @@ from cpam_bayes.diagnosis.diagnose import diagnosis_notices
 from cpam_bayes.diagnosis.hypotheses import Claim
 from cpam_bayes.diagnosis.next_test import Candidate
 from cpam_bayes.effects import CATALOGUE, ListChange
+from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.questions.diagnose import diagnosis_result
 from cpam_bayes.questions.diagnose.claim import checked_effects, claim_sentence
 from cpam_bayes.questions.diagnose.document import (
@@ -24,6 +25,7 @@ from cpam_bayes.questions.diagnose.document import (
     detectable_rows,
     detectable_size,
     fit_constants,
+    images_of,
     probability_text,
     size_text,
 )
@@ -445,17 +447,18 @@ def found_mass(d):
     mass = next(e for e in CATALOGUE if e.local == "point")
     where = [replace(p, prior=replace(p.prior, lower=0.5)) for p in mass.parameters[1:3]]
     effect = replace(mass, parameters=(mass.parameters[0], *where, mass.parameters[3]))
-    return found(d, replace(effect, variant="or its mirror images"), (0.005, 0.8, 0.6, 0.006))
+    return found(d, effect, (0.005, 0.8, 0.6, 0.006))
 
 
-def found(d, effect, values):
-    """A diagnosis that claims an effect with these values of its parameters, each to 2 %."""
-    own = {"cause": effect.name, "effects": (effect,), "parameters": effect.parameters}
+def found(d, effect, values, *more):
+    """A diagnosis that claims an effect, more beside it, with these values of all parameters, each to 2 %."""
+    parameters = tuple(p for e in (effect, *more) for p in e.parameters)
+    own = {"cause": effect.name, "effects": (effect, *more), "parameters": parameters}
     cause = replace(
         d.causes[0],
         name=effect.name,
         variant=effect.variant,
-        parameters={p.name: (v, 0.02 * v, "") for p, v in zip(effect.parameters, values, strict=True)},
+        parameters={p.name: (v, 0.02 * v, "") for p, v in zip(parameters, values, strict=True)},
         hypothesis=replace(d.causes[0].hypothesis, unmodelled=(), listed=ListChange(), **own),
     )
     return with_causes(d, (cause, *d.causes[1:]), Claim("named", (effect.name,), 0.996))
@@ -465,7 +468,9 @@ def test_what_was_found_is_told_and_drawn_where_it_was_with_its_images(misread):
     d = found_mass(misread)
     plate = d.cases[0].models.specimen.plate
     x, y = 800 * plate.length, 600 * plate.width
-    assert f"5.00 +- 0.10 g near ({x:.0f}, {y:.0f}) mm" in claim_sentence(d)
+    a, b = 1e3 * plate.length, 1e3 * plate.width
+    near = f"({x:.0f}, {y:.0f}), ({a - x:.0f}, {y:.0f}), ({x:.0f}, {b - y:.0f}) or ({a - x:.0f}, {b - y:.0f})"
+    assert f"5.00 +- 0.10 g near {near} mm" in claim_sentence(d)
     result = diagnosis_result(d, 0)
     assert [drawing.name for drawing in result.drawings()][:2] == ["plate", "residuals"]
     top = result.plot().subfigs[0].axes[0]
@@ -474,10 +479,27 @@ def test_what_was_found_is_told_and_drawn_where_it_was_with_its_images(misread):
         (round(px), round(py)) for px in (x, 1e3 * plate.length - x) for py in (y, 1e3 * plate.width - y)
     }
     assert {(round(px), round(py)) for px, py in dots} == images
+    # two masses, each where it was
+    effect = d.causes[0].hypothesis.records[0]
+    both = found(misread, effect, (0.005, 0.8, 0.6, 0.006, 0.002, 0.7, 0.9, 0.004), effect.again())
+    own, other = claim_sentence(both).split(";")
+    assert f"near ({x:.0f}, {y:.0f})," in own
+    assert f"2.000 +- 0.040 g near ({0.7 * a:.0f}, {0.9 * b:.0f})," in other
+    top = diagnosis_result(both, 0).plot().subfigs[0].axes[0]
+    filled = [line for line in top.lines if line.get_marker() == "o" and line.get_mfc() != "none"]
+    at = [pytest.approx(tuple(line.get_xydata()[0])) for line in filled]
+    assert at == [(x, y), (0.7 * a, 0.9 * b)]
+    # half a turn alone
+    of = replace(d.cases[0].models.facts, edges="FFFF", layup=parse_layup("[30/-30]_s"), isotropic=False)
+    assert images_of((0.8, 0.6), of) == (pytest.approx((0.2, 0.4)),)
+    # a clamp in another test tells the ends apart
+    assert not images_of((0.8, 0.6), of, replace(of, edges="CFFF"))
     # a missing corner
     (outline,) = (e for e in CATALOGUE if e.drawn == "corner")
     d = found(misread, outline, (0.002,))
-    assert "Corner missing, 0.2000 +- 0.0040 % of the area (at x = length, y = width" in claim_sentence(d)
+    said = claim_sentence(d)
+    assert "Corner missing, 0.2000 +- 0.0040 % of the area (at x = length, y = width" in said
+    assert "shorter side, or a place equal by symmetry)" in said
     result = diagnosis_result(d, 0)
     squares = [p for p in result.plot().subfigs[0].axes[0].patches if isinstance(p, Rectangle)]
     plate = d.cases[0].models.specimen.plate

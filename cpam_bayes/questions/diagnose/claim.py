@@ -25,6 +25,7 @@ from cpam_bayes.questions.diagnose.document import (
     answer_constants,
     detectable_rows,
     detectable_size,
+    images_of,
     place_of,
     probability_text,
     size_text,
@@ -146,12 +147,23 @@ def _found(d: Diagnosis, cause: Cause) -> str:
     for effect in cause.hypothesis.records:
         size = size_text(cause, (effect,))
         if effect.local == "point":
-            said.append(f"something heavy was on the plate, {size}{_near(d, cause)}")
+            said.append(f"something heavy was on the plate, {size}{_near(d, cause, effect)}")
         else:
             said.append(", ".join(t for t in (of_list.get(effect, effect.title), size) if t))
     told = bool(in_list) or any(e.is_anywhere for e in cause.hypothesis.records)
-    where = f" ({cause.variant})" if cause.variant and not told else ""
+    where = f" ({cause.variant}{_or_images(d, cause)})" if cause.variant and not told else ""
     return f"{'; '.join(said) or title_of(d, cause.name)}{where}{_of_plates(d, cause)}"
+
+
+def _or_images(d: Diagnosis, cause: Cause) -> str:
+    """That a corner or an edge may be another one, where no frequency tells."""
+    facts = [case.models.facts for case in d.cases if case.name in cause.plates]
+    for effect in cause.hypothesis.records:
+        corners = effect.place is not None and images_of(effect.place, *facts)
+        along = effect.edges if effect.variant else None
+        if corners or (along is not None and all(len(along(f)) > 1 for f in facts)):
+            return ", or a place equal by symmetry"
+    return ""
 
 
 def _alone(d: Diagnosis, cause: Cause) -> str:
@@ -160,11 +172,16 @@ def _alone(d: Diagnosis, cause: Cause) -> str:
     return f": {size}{_near(d, cause)} if alone" if size else ""
 
 
-def _near(d: Diagnosis, cause: Cause) -> str:
-    """The place of a cause of one place, "" for another cause."""
-    plate = next(case for case in d.cases if case.name in cause.plates).models.specimen.plate
-    place = place_of(cause, plate)
-    return f" near ({1e3 * place[0][0]:.0f}, {1e3 * place[0][1]:.0f}) mm" if place else ""
+def _near(d: Diagnosis, cause: Cause, effect: Effect | None = None) -> str:
+    """The place of an effect of a cause with its images, "" where it has none; effect : as in `place_of`."""
+    models = [case.models for case in d.cases if case.name in cause.plates]
+    plate = models[0].specimen.plate
+    place = place_of(cause, plate, effect)
+    if place is None:
+        return ""
+    (x, y), (a, b) = place[0], (plate.length, plate.width)
+    places = [(x, y), *((a * u, b * v) for u, v in images_of((x / a, y / b), *(m.facts for m in models)))]
+    return f" near {listed([f'({1e3 * x:.0f}, {1e3 * y:.0f})' for x, y in places], 'or')} mm"
 
 
 def _in_list(d: Diagnosis, cause: Cause) -> list[str]:

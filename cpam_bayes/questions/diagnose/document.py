@@ -19,7 +19,9 @@ from cpam_bayes.diagnosis.extension import FrequencyRow, PairedFit
 from cpam_bayes.diagnosis.fit import Fit, inferred_noise
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, SET, Claim, Hypothesis, causes_in
 from cpam_bayes.diagnosis.next_test import Candidate
-from cpam_bayes.effects import CATALOGUE, Effect, scale_of
+from cpam_bayes.effects import CATALOGUE, Effect, PlateFacts, scale_of
+from cpam_bayes.effects.effect import Place
+from cpam_bayes.effects.geometry import corner_images
 from cpam_bayes.formatting import fixed, signed, significant, with_spread
 from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.identification.point import verdict_of
@@ -188,9 +190,14 @@ def place_text(cause: Cause, plate: Plate) -> str:
 _WORDS: Final = {"gyration": "radius of gyration"}
 
 
-def place_of(cause: Cause, plate: Plate) -> tuple[tuple[float, float], tuple[float, float]] | None:
-    """Where a cause of one place is, x and y with their standard deviations, m; None for other causes."""
-    names = _place_names(cause)
+def place_of(
+    cause: Cause, plate: Plate, effect: Effect | None = None
+) -> tuple[tuple[float, float], tuple[float, float]] | None:
+    """Where a cause of one place is, x and y with their standard deviations, m; None for other causes.
+
+    effect : the one of the cause's that is meant, the first of one place if None
+    """
+    names = _place_names(cause, effect)
     if not names:
         return None
     (x, sd_x, _), (y, sd_y, _) = (cause.parameters[name] for name in names)
@@ -198,9 +205,18 @@ def place_of(cause: Cause, plate: Plate) -> tuple[tuple[float, float], tuple[flo
     return (a * x, b * y), (a * sd_x, b * sd_y)
 
 
-def _place_names(cause: Cause) -> tuple[str, ...]:
-    """The parameters that are x and y of the first effect that may be anywhere."""
-    anywhere = (e for e in cause.hypothesis.records if e.is_anywhere)
+def images_of(place: Place, *facts: PlateFacts) -> tuple[Place, ...]:
+    """The places that no frequency tells from one, x and y over the sides as those of a place are.
+
+    facts : of the plate in each of its tests
+    """
+    first, *others = (corner_images(place, each)[1:] for each in facts)
+    return tuple(image for image in first if all(image in other for other in others))
+
+
+def _place_names(cause: Cause, effect: Effect | None = None) -> tuple[str, ...]:
+    """The parameters that are x and y of an effect that may be anywhere, the first if None is named."""
+    anywhere = (e for e in cause.hypothesis.records if e.is_anywhere and effect in (None, e))
     return next((tuple(p.name for p in e.coordinates[:2]) for e in anywhere), ())
 
 

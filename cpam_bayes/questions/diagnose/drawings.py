@@ -15,7 +15,6 @@ from cpam_bayes.diagnosis.extension import FrequencyRow
 from cpam_bayes.diagnosis.hypotheses import CLAIM_RULES, NONE
 from cpam_bayes.diagnosis.signatures import ALIKE, cosine
 from cpam_bayes.effects import Effect, PlateFacts
-from cpam_bayes.effects.geometry import corner_images
 from cpam_bayes.formatting import listed
 from cpam_bayes.plate import Plate, to_user, unit_of
 from cpam_bayes.questions.diagnose.document import (
@@ -24,6 +23,7 @@ from cpam_bayes.questions.diagnose.document import (
     detectable_rows,
     detectable_size,
     fit_constants,
+    images_of,
     leading,
     place_of,
     probability_text,
@@ -104,7 +104,7 @@ def _draw_found(result: DiagnosisResult, found: Sequence[Cause], axes: Axes, i: 
             continue
         for effect in cause.hypothesis.records:
             if effect.is_anywhere:
-                _draw_place(axes, cause, effect, plate)
+                _draw_place(axes, cause, effect, plate, d.cases[i].models.facts)
             elif effect.edges is not None:
                 _draw_edges(axes, plate, effect.edges(d.cases[i].models.facts))
             elif effect.drawn == "corner":
@@ -117,23 +117,18 @@ def _draw_found(result: DiagnosisResult, found: Sequence[Cause], axes: Axes, i: 
     axes.set_title(said, fontsize=9, color=PREDICTED)
 
 
-def _draw_place(axes: Axes, cause: Cause, effect: Effect, plate: Plate) -> None:
+def _draw_place(axes: Axes, cause: Cause, effect: Effect, plate: Plate, facts: PlateFacts) -> None:
     """A mass as a dot, a patch by its extent, with the uncertainty of the place; its images are hollow."""
     from matplotlib.patches import Ellipse, Rectangle
 
-    place = place_of(cause, plate)
+    place = place_of(cause, plate, effect)
     if place is None:
         return
     (x, y), (sd_x, sd_y) = (tuple(1e3 * v for v in pair) for pair in place)
     a, b = 1e3 * plate.length, 1e3 * plate.width
-    first, second, *rest = effect.coordinates
-    halved = [p.prior.lower > 0.0 for p in (first, second)]
-    places = {
-        (px, py): (px, py) == (x, y)
-        for px in ((x, a - x) if halved[0] else (x,))
-        for py in ((y, b - y) if halved[1] else (y,))
-    }
-    for (px, py), is_first in places.items():
+    _, _, *rest = effect.coordinates
+    images = [(a * u, b * v) for u, v in images_of((x / a, y / b), facts)]
+    for is_first, (px, py) in [(True, (x, y)), *((False, image) for image in images)]:
         width, height = 2.0 * _ELLIPSE_SD * sd_x, 2.0 * _ELLIPSE_SD * sd_y
         axes.add_patch(
             Ellipse((px, py), width, height, facecolor="none", edgecolor=PREDICTED, linewidth=0.8, ls=":")
@@ -168,7 +163,7 @@ def _draw_corner(axes: Axes, effect: Effect, plate: Plate, facts: PlateFacts) ->
     assert effect.place is not None
     a, b = 1e3 * plate.length, 1e3 * plate.width
     side = effect.place[2] * min(a, b)
-    for k, (x, y, *_) in enumerate(corner_images(effect.place, facts)):
+    for k, (x, y, *_) in enumerate((effect.place, *images_of(effect.place, facts))):
         at = (x * (a - side), y * (b - side))
         face = "none" if k else PREDICTED
         axes.add_patch(Rectangle(at, side, side, facecolor=face, edgecolor=PREDICTED, alpha=0.35, zorder=4))
