@@ -159,8 +159,10 @@ def _axes_exchange(facts: Facts) -> str:
 
 
 def _sizes_exact(facts: Facts) -> str:
-    names = _names([user_name(name) for name in facts["names"]])
-    return f"{capitalised(names)[:-1]} are assumed exact here: their stated tolerances are ignored."
+    names = [user_name(name) for name in facts["names"]]
+    if len(names) == 1:
+        return f"{names[0]} is assumed exact here: its stated tolerance is ignored."
+    return f"{_names(names)} are assumed exact here: their stated tolerances are ignored."
 
 
 # Of labels and shapes.
@@ -565,7 +567,7 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
         "Only one swarm found the best angles: others may fit better. `sequence` compares all on the grid."
     ),
     "chains_not_converged": (
-        "The chains used their budget of {steps} steps before they converged (R-hat {r_hat:.3f}, "
+        "The chains did not converge in {steps} steps (R-hat {r_hat:.3f}, "
         "{ess_bulk:.0f} effective samples): do not rely on means and intervals. Allow more steps."
     ),
     "narrow_basis": (
@@ -664,8 +666,8 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "undescribed_plates": _undescribed_plates,
     "no_population": _no_population,
     "population_chains": (
-        "The chains of mean and scatter used their budget of {steps} steps before they converged (R-hat "
-        "{r_hat:.3f}, {ess_bulk:.0f} effective samples)."
+        "The chains of mean and scatter did not converge in {steps} steps (R-hat {r_hat:.3f}, "
+        "{ess_bulk:.0f} effective samples)."
     ),
     "other_sizes": _other_sizes,
     "other_constants": _other_constants,

@@ -47,8 +47,13 @@ def ordered(seed: int) -> list[str]:
 
 
 def made(seed: int, name: str) -> dict[str, Any]:
+    """A list of a set with its truth."""
+    return made_of(PLANS[name], seed)
+
+
+def made_of(plan: Plan, seed: int) -> dict[str, Any]:
     """A list with its truth, and which of its candidates it is of; why there is none where none will do."""
-    plan, why = PLANS[name], ""
+    why = ""
     for k, nominal in enumerate(plan.candidates(seed)):
         rng = np.random.default_rng([seed, zlib.crc32(plan.name.encode()), 2, k])
         try:

@@ -50,7 +50,7 @@ def section(
     if scores["by_ratio"]:
         lines += ["", _confusion_table("signal to noise of one cause", scores["by_ratio"])]
     if scores["by_pattern"]:
-        lines += ["", _pattern_table(scores["by_pattern"])]
+        lines += ["", pattern_table(scores["by_pattern"])]
     lines += beside
     if scores["misled"]:
         ways = (f"{row['way']}{_between(row)} {row['number']} of {row['of']}" for row in scores["misled"])
@@ -244,7 +244,7 @@ def _confusion_table(what: str, rows: Sequence[Record]) -> str:
     )
 
 
-def _pattern_table(rows: Sequence[Record]) -> str:
+def pattern_table(rows: Sequence[Record]) -> str:
     """Claims by pattern: right, of an unknown error too, missed, wrong, and the others, which are open."""
     return markdown_table(
         ("no cause, or misled earlier versions", "right/open/missed/wrong", "constants held"),
