@@ -313,6 +313,7 @@ def by_pattern(records: Sequence[Scored]) -> list[Record]:
     return [
         {
             "what": name,
+            "of": group,
             "lists": len(own),
             RIGHT: sum(r["category"] == RIGHT or (r["right"] and r["category"] == OTHER) for r in own),
             WRONG: sum(r["category"] == WRONG for r in own),
@@ -320,7 +321,7 @@ def by_pattern(records: Sequence[Scored]) -> list[Record]:
             "inside": sum(sum(r["inside"].values()) for r in own),
             "constants": sum(len(r["inside"]) for r in own),
         }
-        for (_, name), own in sorted(cells.items())
+        for (group, name), own in sorted(cells.items())
     ]
 
 
