@@ -47,6 +47,7 @@ from cpam_bayes.diagnosis.hypotheses import (
     inclusion_of,
 )
 from cpam_bayes.diagnosis.models import solved_there
+from cpam_bayes.diagnosis.places import laid_on
 from cpam_bayes.diagnosis.signatures import (
     Menu,
     Projector,
@@ -58,6 +59,7 @@ from cpam_bayes.diagnosis.signatures import (
     signature_of,
     with_equal_fits,
 )
+from cpam_bayes.effects import PlateFacts
 from cpam_bayes.forward_model.labels import shape_notices
 from cpam_bayes.forward_model.local.model import LocalModel
 from cpam_bayes.forward_model.preconditions import count_notices
@@ -356,7 +358,7 @@ def _causes(
                 log_bayes_factor=weighed.log_bayes_factor((name,)),
                 log_evidence_error=t.marginal.error,
                 k_hat=t.marginal.k_hat,
-                parameters=_parameters(t),
+                parameters=_parameters(t, [cases[i].models.facts for i in t.plates]),
                 indistinguishable_from=like.get(name, ()),
                 max_shift=signature.largest if signature else 0.0,
                 absorbed=signature.is_absorbed if signature else False,
@@ -369,11 +371,14 @@ def _causes(
     return tuple(causes)
 
 
-def _parameters(t: Tested) -> dict[str, tuple[float, float, str]]:
+def _parameters(t: Tested, facts: Sequence[PlateFacts]) -> dict[str, tuple[float, float, str]]:
+    """Mean, standard deviation and unit of each; of a place that of the image nearest to the optimum."""
     sizes = {}
     weights = np.exp(t.marginal.log_weight)
+    columns = dict(zip((p.name for p in t.hypothesis.parameters), t.columns, strict=True))
+    draws = laid_on(t.marginal.draws, t.marginal.best, t.hypothesis.effects, columns, facts)
     for parameter, column in zip(t.hypothesis.parameters, t.columns, strict=True):
-        x = t.marginal.draws[:, column]
+        x = draws[:, column]
         above = float(weights @ (x > 0.0))
         if parameter.prior.lower < 0.0 and any(e.even for e in t.hypothesis.effects) and 0.1 < above < 0.9:
             x = np.abs(x)

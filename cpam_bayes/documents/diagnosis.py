@@ -83,6 +83,10 @@ class Weighed(TypedDict):
     log_evidence_error: StandardError
     k_hat: KHat
     parameters: dict[str, Size]
+    places_mm: Annotated[
+        dict[str, list[list[Number]]],
+        Field(description="x, y of each effect of one place, then of its images"),
+    ]
     indistinguishable_from: Annotated[Texts, Field(description="causes with the same signature")]
     max_shift_percent: Annotated[Number, Field(description="largest change of a frequency, %")]
     leftover_percent: Annotated[Number, Field(description="scatter that nothing explains, %")]

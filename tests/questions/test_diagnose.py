@@ -15,7 +15,6 @@ from cpam_bayes.diagnosis.diagnose import diagnosis_notices
 from cpam_bayes.diagnosis.hypotheses import Claim
 from cpam_bayes.diagnosis.next_test import Candidate
 from cpam_bayes.effects import CATALOGUE, ListChange
-from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.questions.diagnose import diagnosis_result
 from cpam_bayes.questions.diagnose.claim import checked_effects, claim_sentence
 from cpam_bayes.questions.diagnose.document import (
@@ -25,7 +24,6 @@ from cpam_bayes.questions.diagnose.document import (
     detectable_rows,
     detectable_size,
     fit_constants,
-    images_of,
     probability_text,
     size_text,
 )
@@ -469,8 +467,12 @@ def test_what_was_found_is_told_and_drawn_where_it_was_with_its_images(misread):
     plate = d.cases[0].models.specimen.plate
     x, y = 800 * plate.length, 600 * plate.width
     a, b = 1e3 * plate.length, 1e3 * plate.width
-    near = f"({x:.0f}, {y:.0f}), ({a - x:.0f}, {y:.0f}), ({x:.0f}, {b - y:.0f}) or ({a - x:.0f}, {b - y:.0f})"
-    assert f"5.00 +- 0.10 g near {near} mm" in claim_sentence(d)
+    places = [(u, v) for u in (x, a - x) for v in (y, b - y)]
+    near = "{}, {}, {} or {}".format(*(f"({u:.0f}, {v:.0f})" for u, v in places))
+    spread = max(0.02 * x, 0.02 * y)
+    assert f"5.00 +- 0.10 g near {near} mm, +- {spread:.0f} mm" in claim_sentence(d)
+    (told,) = (h["places_mm"] for h in document(d)["hypotheses"] if h["cause"] == "sensor_mass")
+    assert told == {"sensor_mass": [pytest.approx(list(place)) for place in places]}
     result = diagnosis_result(d, 0)
     assert [drawing.name for drawing in result.drawings()][:2] == ["plate", "residuals"]
     top = result.plot().subfigs[0].axes[0]
@@ -484,16 +486,21 @@ def test_what_was_found_is_told_and_drawn_where_it_was_with_its_images(misread):
     both = found(misread, effect, (0.005, 0.8, 0.6, 0.006, 0.002, 0.7, 0.9, 0.004), effect.again())
     own, other = claim_sentence(both).split(";")
     assert f"near ({x:.0f}, {y:.0f})," in own
+    # of a square of metal there are eight
+    case = d.cases[0]
+    square = replace(case.models.specimen.plate, length=plate.width)
+    models = replace(
+        case.models,
+        specimen=replace(case.models.specimen, plate=square),
+        facts=replace(case.models.facts, length=plate.width),
+    )
+    said = claim_sentence(replace(d, cases=(replace(case, models=models),)))
+    assert "mm or one of its 7 images, +- " in said
     assert f"2.000 +- 0.040 g near ({0.7 * a:.0f}, {0.9 * b:.0f})," in other
     top = diagnosis_result(both, 0).plot().subfigs[0].axes[0]
     filled = [line for line in top.lines if line.get_marker() == "o" and line.get_mfc() != "none"]
     at = [pytest.approx(tuple(line.get_xydata()[0])) for line in filled]
     assert at == [(x, y), (0.7 * a, 0.9 * b)]
-    # half a turn alone
-    of = replace(d.cases[0].models.facts, edges="FFFF", layup=parse_layup("[30/-30]_s"), isotropic=False)
-    assert images_of((0.8, 0.6), of) == (pytest.approx((0.2, 0.4)),)
-    # a clamp in another test tells the ends apart
-    assert not images_of((0.8, 0.6), of, replace(of, edges="CFFF"))
     # a missing corner
     (outline,) = (e for e in CATALOGUE if e.drawn == "corner")
     d = found(misread, outline, (0.002,))
@@ -509,6 +516,16 @@ def test_what_was_found_is_told_and_drawn_where_it_was_with_its_images(misread):
     assert found_at[0] == pytest.approx((a - side, b - side))
     corners = {(round(x), round(y)) for x in (0.0, a - side) for y in (0.0, b - side)}
     assert {(round(x), round(y)) for x, y in found_at} == corners
+
+
+def test_of_what_no_cause_explains_alone_the_probable_part_is_named(misread, monkeypatch):
+    other = replace(misread, claim=Claim("other", (), 0.97))
+    monkeypatch.setattr(type(misread), "inclusion", {"sensor_mass": 0.85, "support": 0.1})
+    assert claim_sentence(other) == (
+        "Something is wrong that no known error explains by itself (0.970); part of it: added mass 0.85."
+    )
+    monkeypatch.setattr(type(misread), "inclusion", {"sensor_mass": 0.4})
+    assert "explains (probability 0.970)" in claim_sentence(other)
 
 
 def test_residuals_and_constants_are_drawn_before_and_after_with_their_noise_and_reference(misread, figures):

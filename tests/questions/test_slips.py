@@ -70,6 +70,21 @@ def test_sides_exchanged_are_named_and_written_anew(tmp_path: Path) -> None:
     assert explaining_slips(again) == ()
 
 
+def test_standard_deviations_of_sides_are_exchanged_with_them() -> None:
+    specimen = cb.read_plate(stated(listed(), sd={"length_mm": 0.2, "width_mm": 1.2}))
+    (sides,) = (slip for slip in slips._plates(specimen) if slip.kind == "sides")
+    assert sides.edits["plate", "sd", "length_mm"] == 1.2
+    assert sides.edits["plate", "sd", "width_mm"] == 0.2
+    assert sides.corrected.plate.sd == {"length": 1.2e-3, "width": 0.2e-3}
+
+
+def test_beside_a_sensor_a_turned_layup_is_not_the_sides_exchanged() -> None:
+    sensor = [{"mass_g": 12.0, "x_mm": 280.0, "y_mm": 150.0}]
+    true = listed(sensor=sensor, layup="[90_8]")
+    turned = cb.read_plate({**stated(true), "sensor": sensor})
+    assert [slip.kind for slip in explaining_slips(turned)] == ["layup"]
+
+
 @pytest.mark.parametrize(
     ("file", "expected"),
     [

@@ -14,6 +14,7 @@ from cpam_bayes.diagnosis.extension import left_aside
 from cpam_bayes.diagnosis.fit import inferred_noise
 from cpam_bayes.diagnosis.hypotheses import CLAIM_RULES, NONE, OTHER, Claim, causes_in
 from cpam_bayes.diagnosis.next_test import Candidate
+from cpam_bayes.diagnosis.places import images_of
 from cpam_bayes.effects import Effect
 from cpam_bayes.formatting import listed, significant
 from cpam_bayes.forward_model.known_errors import ScaleError, absorbed, number_of
@@ -25,8 +26,8 @@ from cpam_bayes.questions.diagnose.document import (
     answer_constants,
     detectable_rows,
     detectable_size,
-    images_of,
     place_of,
+    places_of,
     probability_text,
     size_text,
     some_of,
@@ -54,6 +55,8 @@ _LIKELY, _CHECKED = 0.1, 2
 _EVIDENCE: Final = 3.0
 # Probability from which a cause is told where time was up before all were tested.
 _TOLD: Final = 1e-3
+# Places that are listed beside the first one.
+_IMAGES: Final = 3
 # Fraction of the answer from which it contains what hypotheses of it contain.
 _CONTAINED: Final = 0.5
 
@@ -113,6 +116,10 @@ def claim_sentence(d: Diagnosis) -> str:
             number = {2: "Two", 3: "Three"}[len(d.claim.causes)]
             return f"{number} errors at once: {_found(d, d.several)} (probability {p})."
         case "other":
+            within = {name: q for name, q in d.inclusion.items() if q >= _CONTAINED}
+            if within:
+                part = _with_probabilities(d, within)
+                return f"Something is wrong that no known error explains by itself ({p}); part of it: {part}."
             return f"Something is wrong that no known error explains (probability {p})."
     return _undecided(d)
 
@@ -159,7 +166,7 @@ def _or_images(d: Diagnosis, cause: Cause) -> str:
     """That a corner or an edge may be another one, where no frequency tells."""
     facts = [case.models.facts for case in d.cases if case.name in cause.plates]
     for effect in cause.hypothesis.records:
-        corners = effect.place is not None and images_of(effect.place, *facts)
+        corners = effect.place is not None and images_of((effect.place[0], effect.place[1]), facts)[1:]
         along = effect.edges if effect.variant else None
         if corners or (along is not None and all(len(along(f)) > 1 for f in facts)):
             return ", or a place equal by symmetry"
@@ -174,14 +181,15 @@ def _alone(d: Diagnosis, cause: Cause) -> str:
 
 def _near(d: Diagnosis, cause: Cause, effect: Effect | None = None) -> str:
     """The place of an effect of a cause with its images, "" where it has none; effect : as in `place_of`."""
-    models = [case.models for case in d.cases if case.name in cause.plates]
-    plate = models[0].specimen.plate
+    plate = next(case for case in d.cases if case.name in cause.plates).models.specimen.plate
     place = place_of(cause, plate, effect)
     if place is None:
         return ""
-    (x, y), (a, b) = place[0], (plate.length, plate.width)
-    places = [(x, y), *((a * u, b * v) for u, v in images_of((x / a, y / b), *(m.facts for m in models)))]
-    return f" near {listed([f'({1e3 * x:.0f}, {1e3 * y:.0f})' for x, y in places], 'or')} mm"
+    first, *others = (f"({1e3 * x:.0f}, {1e3 * y:.0f})" for x, y in places_of(d, cause, effect))
+    near = f"{listed([first, *others], 'or')} mm"
+    if len(others) > _IMAGES:
+        near = f"{first} mm or one of its {len(others)} images"
+    return f" near {near}, +- {1e3 * max(place[1]):.0f} mm"
 
 
 def _in_list(d: Diagnosis, cause: Cause) -> list[str]:

@@ -19,9 +19,8 @@ from cpam_bayes.diagnosis.extension import FrequencyRow, PairedFit
 from cpam_bayes.diagnosis.fit import Fit, inferred_noise
 from cpam_bayes.diagnosis.hypotheses import NONE, OTHER, SET, Claim, Hypothesis, causes_in
 from cpam_bayes.diagnosis.next_test import Candidate
-from cpam_bayes.effects import CATALOGUE, Effect, PlateFacts, scale_of
-from cpam_bayes.effects.effect import Place
-from cpam_bayes.effects.geometry import corner_images
+from cpam_bayes.diagnosis.places import images_of
+from cpam_bayes.effects import CATALOGUE, Effect, scale_of
 from cpam_bayes.formatting import fixed, signed, significant, with_spread
 from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.identification.point import verdict_of
@@ -205,13 +204,20 @@ def place_of(
     return (a * x, b * y), (a * sd_x, b * sd_y)
 
 
-def images_of(place: Place, *facts: PlateFacts) -> tuple[Place, ...]:
-    """The places that no frequency tells from one, x and y over the sides as those of a place are.
+def places_of(d: Diagnosis, cause: Cause, effect: Effect | None = None) -> tuple[tuple[float, float], ...]:
+    """The place of an effect of a cause and those that no frequency tells from it, m; none without a place.
 
-    facts : of the plate in each of its tests
+    effect : as in `place_of`
     """
-    first, *others = (corner_images(place, each)[1:] for each in facts)
-    return tuple(image for image in first if all(image in other for other in others))
+    models = [case.models for case in d.cases if case.name in cause.plates]
+    plate = models[0].specimen.plate
+    place = place_of(cause, plate, effect)
+    if place is None:
+        return ()
+    a, b = plate.length, plate.width
+    (x, y), (sd_x, sd_y) = place
+    every = images_of((x / a, y / b), [m.facts for m in models], (sd_x / a, sd_y / b))
+    return ((x, y), *((a * u, b * v) for u, v in every[1:]))
 
 
 def _place_names(cause: Cause, effect: Effect | None = None) -> tuple[str, ...]:
@@ -391,6 +397,10 @@ def _hypothesis_columns(d: Diagnosis) -> tuple[Column, ...]:
         at = place_text(cause, plates[cause.plates[0]]) if cause.plates else ""
         return "; ".join(t for t in (at, cause.variant) if t)
 
+    def places(cause: Cause) -> dict[str, list[list[float]]]:
+        effects = [e for e in cause.hypothesis.records if e.is_anywhere]
+        return {e.name: [[1e3 * x, 1e3 * y] for x, y in places_of(d, cause, e)] for e in effects}
+
     def of(cause: Cause) -> str | None:
         if len(d.cases) == 1 or cause.name in (NONE, OTHER):
             return None
@@ -413,6 +423,7 @@ def _hypothesis_columns(d: Diagnosis) -> tuple[Column, ...]:
         Column(None, "log_evidence_error", lambda c: c.log_evidence_error),
         Column(None, "k_hat", lambda c: c.k_hat),
         Column(None, "parameters", lambda c: {p.name: _size(p, c) for p in c.hypothesis.parameters}),
+        Column(None, "places_mm", places),
         Column(
             "indistinguishable from",
             "indistinguishable_from",

@@ -13,6 +13,7 @@ from cpam_bayes.answer import Constant
 from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
 from cpam_bayes.diagnosis.extension import FrequencyRow
 from cpam_bayes.diagnosis.hypotheses import CLAIM_RULES, NONE
+from cpam_bayes.diagnosis.places import images_of
 from cpam_bayes.diagnosis.signatures import ALIKE, cosine
 from cpam_bayes.effects import Effect, PlateFacts
 from cpam_bayes.formatting import listed
@@ -23,9 +24,9 @@ from cpam_bayes.questions.diagnose.document import (
     detectable_rows,
     detectable_size,
     fit_constants,
-    images_of,
     leading,
     place_of,
+    places_of,
     probability_text,
     size_text,
     taken_peaks,
@@ -81,7 +82,7 @@ def _plate(result: DiagnosisResult) -> Drawing:
     if not found:
         return plate_drawing(result.plates)
     named = listed([title_of(d, c.name) for c in found], "or")
-    text = f"Orange: what was found, {named}; a place with its mirror images, which no frequency tells apart."
+    text = f"Orange: what was found, {named}; its images, which no frequency tells apart, are open."
     caption = Caption(f"{text} {plain.text}", f"{plain.alt} Found: {named}.")
     return plate_drawing(result.plates, partial(_draw_found, result, found), caption)
 
@@ -104,7 +105,7 @@ def _draw_found(result: DiagnosisResult, found: Sequence[Cause], axes: Axes, i: 
             continue
         for effect in cause.hypothesis.records:
             if effect.is_anywhere:
-                _draw_place(axes, cause, effect, plate, d.cases[i].models.facts)
+                _draw_place(axes, d, cause, effect, plate)
             elif effect.edges is not None:
                 _draw_edges(axes, plate, effect.edges(d.cases[i].models.facts))
             elif effect.drawn == "corner":
@@ -117,28 +118,27 @@ def _draw_found(result: DiagnosisResult, found: Sequence[Cause], axes: Axes, i: 
     axes.set_title(said, fontsize=9, color=PREDICTED)
 
 
-def _draw_place(axes: Axes, cause: Cause, effect: Effect, plate: Plate, facts: PlateFacts) -> None:
+def _draw_place(axes: Axes, d: Diagnosis, cause: Cause, effect: Effect, plate: Plate) -> None:
     """A mass as a dot, a patch by its extent, with the uncertainty of the place; its images are hollow."""
     from matplotlib.patches import Ellipse, Rectangle
 
     place = place_of(cause, plate, effect)
     if place is None:
         return
-    (x, y), (sd_x, sd_y) = (tuple(1e3 * v for v in pair) for pair in place)
+    sd_x, sd_y = (1e3 * v for v in place[1])
     a, b = 1e3 * plate.length, 1e3 * plate.width
     _, _, *rest = effect.coordinates
-    images = [(a * u, b * v) for u, v in images_of((x / a, y / b), facts)]
-    for is_first, (px, py) in [(True, (x, y)), *((False, image) for image in images)]:
+    for k, (px, py) in enumerate((1e3 * x, 1e3 * y) for x, y in places_of(d, cause, effect)):
         width, height = 2.0 * _ELLIPSE_SD * sd_x, 2.0 * _ELLIPSE_SD * sd_y
         axes.add_patch(
             Ellipse((px, py), width, height, facecolor="none", edgecolor=PREDICTED, linewidth=0.8, ls=":")
         )
         if effect.local == "point" or not rest:
-            axes.plot(px, py, "o", mfc=PREDICTED if is_first else "none", mec=PREDICTED, markersize=9)
+            axes.plot(px, py, "o", mfc="none" if k else PREDICTED, mec=PREDICTED, markersize=9)
             continue
         reach = cause.parameters[rest[0].name][0] * min(a, b)
         style: dict[str, Any] = {
-            "facecolor": PREDICTED if is_first else "none",
+            "facecolor": "none" if k else PREDICTED,
             "edgecolor": PREDICTED,
             "alpha": 0.35,
         }
@@ -163,7 +163,7 @@ def _draw_corner(axes: Axes, effect: Effect, plate: Plate, facts: PlateFacts) ->
     assert effect.place is not None
     a, b = 1e3 * plate.length, 1e3 * plate.width
     side = effect.place[2] * min(a, b)
-    for k, (x, y, *_) in enumerate((effect.place, *images_of(effect.place, facts))):
+    for k, (x, y) in enumerate(images_of((effect.place[0], effect.place[1]), [facts])):
         at = (x * (a - side), y * (b - side))
         face = "none" if k else PREDICTED
         axes.add_patch(Rectangle(at, side, side, facecolor=face, edgecolor=PREDICTED, alpha=0.35, zorder=4))

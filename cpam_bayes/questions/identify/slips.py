@@ -58,7 +58,7 @@ from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.plate import Material, Plate, Specimen, to_user
 from cpam_bayes.plate.edges import ALL_FREE, EDGES
 from cpam_bayes.plate.layup import from_angles
-from cpam_bayes.plate.text import decode, line_numbers
+from cpam_bayes.plate.text import KeyPath, decode, line_numbers
 from cpam_bayes.running import is_time_up, single_blas_thread
 
 SlipKind: TypeAlias = Literal[
@@ -101,7 +101,7 @@ class Slip:
     number: int
     frequency: float
     corrected: Specimen
-    edits: Mapping[tuple[str, str], Any]
+    edits: Mapping[KeyPath, Any]
     rms: float = 0.0
     probability: float = 0.0
 
@@ -268,7 +268,7 @@ def _of_change(specimen: Specimen, change: ListChange) -> Slip | None:
         return Slip("missed", change.missed[0] + 1, 0.0, specimen, {_COMPLETE: False})
     i = change.misread[0] if change.spurious is None else change.spurious
     less = replace(specimen, measurement=measurement.of_rows(np.delete(np.arange(len(f)), i)))
-    edits: dict[tuple[str, str], Any] = {_LISTED: np.delete(f, i).tolist()}
+    edits: dict[KeyPath, Any] = {_LISTED: np.delete(f, i).tolist()}
     # a frequency that is the last mode leaves the list that a false one does
     if not change.misread and change.missed in ((), (len(f) - 1,)):
         return Slip("false", i + 1, float(f[i]), less, edits)
@@ -334,17 +334,24 @@ def _plates(specimen: Specimen) -> Iterator[Slip]:
         yield Slip(kind, 0, 0.0, replace(specimen, plate=plate), edits)
 
 
-def _other_plates(specimen: Specimen) -> Iterator[tuple[SlipKind, Plate, dict[tuple[str, str], Any]]]:
+def _other_plates(specimen: Specimen) -> Iterator[tuple[SlipKind, Plate, dict[KeyPath, Any]]]:
     plate = specimen.plate
     other = {"length": "width", "width": "length"}
     even = len(set(plate.edges)) == 1
     if plate.length != plate.width and not (even and specimen.material.isotropic):
         sd = {other.get(name, name): value for name, value in plate.sd.items()}
-        sizes = {"length_mm": plate.width, "width_mm": plate.length}
-        edits = {("plate", key): round(to_user(key[:-3], value), 9) for key, value in sizes.items()}
+        exchanged: dict[KeyPath, dict[str, float]]
+        exchanged = {("plate",): {"length": plate.width, "width": plate.length}}
+        if other.keys() <= sd.keys():
+            exchanged["plate", "sd"] = sd
+        edits: dict[KeyPath, Any] = {
+            (*table, f"{name}_mm"): round(to_user(name, values[name]), 9)
+            for table, values in exchanged.items()
+            for name in other
+        }
         yield "sides", replace(plate, length=plate.width, width=plate.length, sd=sd), edits
-    # of equal edges that is the same spectrum as sides exchanged, or as the plate itself
-    if not even and not specimen.material.isotropic:
+    # of equal edges that is the same spectrum as sides exchanged, or as the plate itself, where it is bare
+    if not specimen.material.isotropic and (specimen.sensors or not even):
         angles = np.array([a + 90.0 if a <= 0.0 else a - 90.0 for a in plate.layup.angles_deg])
         if not np.array_equal(angles, plate.layup.angles_deg):
             turned = from_angles(angles.tolist(), plate.layup.kinds)
@@ -400,7 +407,13 @@ def corrected_file(specimen: Specimen, slip: Slip) -> str | None:
         text = f"{text[:start]}complete = false\n{text[start:]}"
     try:
         content = tomllib.loads(text)
-        is_edited = all(content[table][key] == value for (table, key), value in slip.edits.items())
+        is_edited = all(_at(content, path) == value for path, value in slip.edits.items())
     except (tomllib.TOMLDecodeError, KeyError):
         return None
     return text if is_edited else None
+
+
+def _at(content: Any, path: KeyPath) -> Any:
+    for key in path:
+        content = content[key]
+    return content
