@@ -56,7 +56,7 @@ class Image:
         return bool(np.all(np.abs((moved - angles + 90.0) % 180.0 - 90.0) < 1e-9))
 
 
-_EVERY = tuple(Image(exchanged, flipped) for exchanged, *flipped in product((False, True), repeat=3))  # type: ignore[arg-type]
+_EVERY = tuple(Image(exchanged, (x, y)) for exchanged, x, y in product((False, True), repeat=3))
 
 
 def images(facts: Sequence[PlateFacts]) -> tuple[Image, ...]:
