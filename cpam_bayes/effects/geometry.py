@@ -424,7 +424,7 @@ def _share(extent: float, facts: PlateFacts) -> float:
 
 
 def corner_images(corner: Place, facts: PlateFacts) -> tuple[Place, ...]:
-    """A place (x, y) over the sides, as a corner is, and those that no frequency tells from it."""
+    """A corner (x, y), each 0 or 1, and those that no frequency tells from it."""
     x, y = corner[:2]
     in_x, in_y, turned = symmetries(facts)
     ways = ((in_x, (1.0 - x, y)), (in_y, (x, 1.0 - y)), (turned, (1.0 - x, 1.0 - y)))

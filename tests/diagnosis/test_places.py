@@ -1,4 +1,4 @@
-"""Places that no frequency tells apart: as the solver finds them, and draws laid on one of them."""
+"""Places that no frequency tells apart: as independent elements find them, and draws laid on one of them."""
 
 import numpy as np
 import pytest
