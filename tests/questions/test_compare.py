@@ -19,6 +19,8 @@ def test_a_stiffer_plate_is_larger_by_its_ratio() -> None:
     assert e1.probability_larger > 0.975
     assert (e1.differs, nu12.differs) == (True, False)
     assert "b differs from a in E1 by +" in found.report().summary.headline
+    # E1 goes with f^2 / h^2 of a stated density, with f^2 / h^3 of a stated mass
+    assert "thickness off by 1 % changes all moduli by 2 %, of a weighed" in found.report().summary.next_step
     again = found.to_dict()["differences"]["E1_GPa"]
     assert again == {
         "percent": e1.percent,

@@ -142,11 +142,15 @@ def test_numbers_and_cures_are_in_the_sentences_of_which_each_is_told_once() -> 
         "cut_posterior": ("fourth of eq. (9) of c", "orthotropic model"),
         "doubtful_list": ("(2,0) near 311.2 Hz", "148 times", "modes may be missing"),
         "disagreeing_plates": ("a, b, c, d, e and 2 more disagree",),
+        "sizes_exact": ("thickness_mm is assumed exact here: its stated",),
+        "population_chains": ("did not converge in 20 steps",),
         "undescribed_plates": ("p4 (3.0 times the noise) and 5 more",),
         "time_up": ("3 s", "detection limits were computed; 1 of at least 3 swarms ran."),
     }.items():
         sentence = sentence_of(Notice(code, facts=FACTS[code]))
         assert all(part in sentence for part in said)
+    both = Notice("sizes_exact", facts={"names": ("thickness", "length")})
+    assert "thickness_mm and length_mm are assumed exact here: their stated" in sentence_of(both)
     # equal ones are told once, and remarks are no warnings
     few, other = Notice("failed_plates", facts={"count": 1}), Notice("mixed_materials", "remark")
     assert each_once((few, other, Notice("failed_plates", facts={"count": 1}))) == (few, other)
