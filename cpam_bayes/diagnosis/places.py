@@ -7,13 +7,13 @@ be a place where nothing is.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.effects import Effect, PlateFacts
+from cpam_bayes.plate.motions import ANGLE_MOTIONS, EXCHANGES, MOTIONS, Motion
 
 Array = NDArray[np.float64]
 Point = tuple[float, float]
@@ -22,47 +22,24 @@ Point = tuple[float, float]
 _SQUARE = 2e-3
 
 
-@dataclass(frozen=True, slots=True)
-class Image:
-    """A map of places over the sides: x and y exchanged or not, then each mirrored or not."""
-
-    exchanged: bool = False
-    flipped: tuple[bool, bool] = (False, False)
-
-    def of(self, places: Array) -> Array:
-        """The images of places (..., 2), 0 to 1."""
-        moved = places[..., ::-1] if self.exchanged else places
-        return np.where(self.flipped, 1.0 - moved, moved)
-
-    def keeps(self, facts: PlateFacts) -> bool:
-        """Whether a plate looks the same afterwards: its sides, its edges, the angles of its plies."""
-        x0, y0, x1, y1 = tuple(facts.edges)
-        if self.exchanged:
-            if abs(facts.length / facts.width - 1.0) > _SQUARE:
-                return False
-            x0, y0, x1, y1 = y0, x0, y1, x1
-        if self.flipped[0]:
-            x0, x1 = x1, x0
-        if self.flipped[1]:
-            y0, y1 = y1, y0
-        return f"{x0}{y0}{x1}{y1}" == facts.edges and self._keeps_plies(facts)
-
-    def _keeps_plies(self, facts: PlateFacts) -> bool:
-        if facts.isotropic:
-            return True
-        angles = np.asarray(facts.layup.angles_deg, float)
-        moved = 90.0 - angles if self.exchanged else angles
-        moved = -moved if self.flipped[0] != self.flipped[1] else moved
-        return bool(np.all(np.abs((moved - angles + 90.0) % 180.0 - 90.0) < 1e-9))
+def images(facts: Sequence[PlateFacts]) -> tuple[Motion, ...]:
+    """The motions after which a plate looks the same in each of its tests, the identity first."""
+    every = MOTIONS[:1] if any(each.loaded for each in facts) else MOTIONS
+    return tuple(motion for motion in every if all(_is_kept(each, motion) for each in facts))
 
 
-_EVERY = tuple(Image(exchanged, (x, y)) for exchanged, x, y in product((False, True), repeat=3))
+def _is_kept(facts: PlateFacts, motion: Motion) -> bool:
+    """Whether a plate looks the same after a motion: its sides, its edges, the angles of its plies."""
+    if motion.kind in EXCHANGES and abs(facts.length / facts.width - 1.0) > _SQUARE:
+        return False
+    angles = np.asarray(facts.layup.angles_deg, float)
+    turned = (ANGLE_MOTIONS[motion.kind](angles) - angles + 90.0) % 180.0 - 90.0
+    return motion.keeps_edges(facts.edges) and (facts.isotropic or bool(np.all(np.abs(turned) < 1e-9)))
 
 
-def images(facts: Sequence[PlateFacts]) -> tuple[Image, ...]:
-    """The maps after which a plate looks the same in each of its tests, the identity first."""
-    every = _EVERY[:1] if any(each.loaded for each in facts) else _EVERY
-    return tuple(image for image in every if all(map(image.keeps, facts)))
+def _moved(places: Array, motion: Motion) -> Array:
+    """Where places (..., 2), 0 to 1, go."""
+    return np.stack(motion.point(places[..., 0], places[..., 1]), axis=-1)
 
 
 def images_of(place: Point, facts: Sequence[PlateFacts], apart: Point = (1e-6, 1e-6)) -> tuple[Point, ...]:
@@ -71,8 +48,8 @@ def images_of(place: Point, facts: Sequence[PlateFacts], apart: Point = (1e-6, 1
     apart : places that differ by less, in x and in y, are one
     """
     found: list[Array] = []
-    for image in images(facts):
-        at = image.of(np.array(place))
+    for motion in images(facts):
+        at = _moved(np.array(place), motion)
         if all(np.any(np.abs(at - other) > apart) for other in found):
             found.append(at)
     return tuple((float(x), float(y)) for x, y in found)
@@ -103,9 +80,9 @@ def laid_on(
     return laid
 
 
-def _nearest(places: Array, best: Array, every: Sequence[Image]) -> tuple[Array, Array]:
+def _nearest(places: Array, best: Array, every: Sequence[Motion]) -> tuple[Array, Array]:
     """Of each place (m, 2) the image nearest to a point, and its distance from there squared, (m,)."""
-    moved = np.array([image.of(places) for image in every])
+    moved = np.array([_moved(places, motion) for motion in every])
     distance = np.sum((moved - best) ** 2, axis=-1)
     at = np.argmin(distance, axis=0)
     rows = np.arange(len(places))

@@ -29,31 +29,12 @@ from numpy.typing import NDArray
 
 from cpam_bayes.plate import Plate, Specimen, angle_grid
 from cpam_bayes.plate.layup import Layup
+from cpam_bayes.plate.motions import ANGLE_MOTIONS, EXCHANGES, MOTIONS
 
 Array = NDArray[Any]
-Point = tuple[float, float]
 
 _EQUAL: Final = 1e-9
 
-# Change of the ply angles by the motions of each kind, in degrees. Each is its own inverse, modulo 180.
-ANGLE_MOTIONS: Final[dict[str, Callable[[Array], Array]]] = {
-    "": lambda t: t,
-    "mirror image": lambda t: -t,
-    "quarter turn": lambda t: t + 90.0,
-    "diagonal mirror image": lambda t: 90.0 - t,
-}
-_EXCHANGES: Final = ("quarter turn", "diagonal mirror image")
-# Motions: which kind, where each edge (x0, y0, x1, y1) comes from, and where a point (x / length,
-# y / width) goes.
-_MOTIONS: Final[tuple[tuple[str, tuple[int, int, int, int], Callable[[float, float], Point]], ...]] = (
-    ("", (0, 1, 2, 3), lambda x, y: (x, y)),
-    ("mirror image", (2, 1, 0, 3), lambda x, y: (1.0 - x, y)),
-    ("mirror image", (0, 3, 2, 1), lambda x, y: (x, 1.0 - y)),
-    ("quarter turn", (3, 0, 1, 2), lambda x, y: (1.0 - y, x)),
-    ("quarter turn", (1, 2, 3, 0), lambda x, y: (y, 1.0 - x)),
-    ("diagonal mirror image", (1, 0, 3, 2), lambda x, y: (y, x)),
-    ("diagonal mirror image", (3, 2, 1, 0), lambda x, y: (1.0 - y, 1.0 - x)),
-)
 _ROWS: Final = 1 << 17  # rows handled together, so that their images stay in the processor's cache
 # Sums with a smaller standard deviation over all sequences, once v is known, do not count.
 _NEGLIGIBLE_SD = 3e-3
@@ -106,13 +87,13 @@ def plane_motions(specimen: Specimen) -> tuple[str, ...]:
         return ("",)
     masses = [(s.x / plate.length, s.y / plate.width, s.mass) for s in specimen.sensors]
     kinds: list[str] = []
-    for kind, edges, moved in _MOTIONS:
-        if kind in _EXCHANGES and (labelled or not _is_square(plate)):
+    for motion in MOTIONS:
+        if motion.kind in EXCHANGES and (labelled or not _is_square(plate)):
             continue
-        if any(plate.edges[old] != new for old, new in zip(edges, plate.edges, strict=True)):
+        if motion.kind in kinds or not motion.keeps_edges(plate.edges):
             continue
-        if kind not in kinds and _same_masses(masses, [(*moved(x, y), mass) for x, y, mass in masses]):
-            kinds.append(kind)
+        if _same_masses(masses, [(*motion.point(x, y), mass) for x, y, mass in masses]):
+            kinds.append(motion.kind)
     return tuple(kinds)
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from cpam_bayes.formatting import listed
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.plate import angle_grid, builtin
+from cpam_bayes.plate.motions import ANGLE_MOTIONS
 from cpam_bayes.questions.paper.rows import (
     AGREES,
     NOT_REPRODUCIBLE,
@@ -28,7 +29,7 @@ from cpam_bayes.questions.paper.rows import (
     Row,
 )
 from cpam_bayes.stacking.notices import UNEXPLAINED
-from cpam_bayes.stacking.symmetry import ANGLE_MOTIONS, plane_motions
+from cpam_bayes.stacking.symmetry import plane_motions
 
 PRINTED_GROUPS: Final = 10
 """Perturbed lists behind each printed mean."""
