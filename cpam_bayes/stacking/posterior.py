@@ -21,7 +21,14 @@ from numpy.typing import NDArray
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.forward_model.build import reduced_model
 from cpam_bayes.forward_model.known_errors import common_errors
-from cpam_bayes.forward_model.model import PlateModel, angle_parameters, converged_model, reference_vector
+from cpam_bayes.forward_model.model import (
+    PlateModel,
+    angle_parameters,
+    converged_model,
+    model_on_basis,
+    plate_problem,
+    reference_vector,
+)
 from cpam_bayes.forward_model.reduced import ReducedModel
 from cpam_bayes.forward_model.three_dimensions import (
     THEORY_LEVEL,
@@ -68,8 +75,9 @@ Array = NDArray[Any]
 _SPARE_MODES = 4
 # Sequences over which the error of theory is averaged: a known layup is needed for it.
 _THEORY_SEQUENCES = 32
-# Sequences of which the one that comes nearest the list tells what its frequencies have in common.
-_TRIED = 128
+# Sequences of which the one that comes nearest the list tells what its frequencies have in common: members of
+# the library that all are tried with, and sequences that are tried with the whole.
+_TRIED, _TRIED_WITH, _TRIED_AGAIN = 128, 12, 12
 # Noise beside which errors in common are judged where none is stated, their least share of it, and how many
 # directions of them are parameters at most.
 _USUAL_NOISE, _COUNTS, _MOST_COMMON = 0.002, 0.5, 3
@@ -182,17 +190,25 @@ def with_angles(specimen: Specimen, angles: Array) -> Specimen:
 def model_of(sequence: Specimen, model: ReducedModel) -> PlateModel:
     """The full model of a specimen with known angles, whose reduced model has them as parameters.
 
-    Its space is its own: that of all sequences has more functions where some couple bending with stretching.
+    Where some sequences couple bending with stretching, the space of all has functions of its own.
     """
-    own = converged_model(sequence, sequence.unknowns, model.n_modes)
-    problem = replace(own.operator.problem, bias=model.full.operator.problem.bias)
+    problem, full = plate_problem(sequence, sequence.unknowns), model.full
+    if sequence.plate.layup.is_symmetric and full.basis is not None:
+        x = reference_vector(sequence, problem.parameters)[None]
+        own = model_on_basis(problem, x, model.n_modes, full.error, full.basis)
+    else:
+        own = converged_model(sequence, sequence.unknowns, model.n_modes)
+    problem = replace(problem, bias=full.operator.problem.bias)
     return replace(own, operator=replace(own.operator, problem=problem))
 
 
 def _nearest(as_stated: ConditionalPosterior, grid: Array, library: Array, rng: np.random.Generator) -> Array:
     """Of sequences drawn evenly that whose frequencies come nearest the list, (k,) degrees."""
-    drawn = np.unique(rng.choice(grid, size=(_TRIED, as_stated.n_angles)), axis=0)
-    return np.asarray(drawn[scanned_starts(as_stated, drawn, library, 1)[1][:, 0].argmin()])
+    nearest = np.unique(rng.choice(grid, size=(_TRIED, as_stated.n_angles)), axis=0)
+    for some, kept in ((library[:_TRIED_WITH], _TRIED_AGAIN), (library, 1)):
+        misfit = scanned_starts(as_stated, nearest, some, 1)[1][:, 0]
+        nearest = nearest[np.argsort(misfit, kind="stable")[:kept]]
+    return np.asarray(nearest[0])
 
 
 def _theory_error(specimen: Specimen, model: ReducedModel, grid: Array, rng: np.random.Generator) -> Array:

@@ -97,8 +97,8 @@ class StackingSettings:
     halvings: int = 2
     unaccounted: float = 1e-3
     max_fitted: int = 20_000
-    sampled_fraction: float = 0.99
-    max_sampled: int = 8_000
+    sampled_fraction: float = 0.98
+    max_sampled: int = 5_000
     log2_sampled: int = 7
     listed: int = 200
     draws: int = 500

@@ -227,12 +227,10 @@ def _cost(
     cost = 0.5 * n * np.log(amplitude).sum() + p * half
     inverse = scipy.linalg.cho_solve(factor, np.eye(n))
     weight = (p * inverse - (alpha / amplitude) @ alpha.T) * 0.5
-    gradient = np.empty(d + 1)
-    for j in range(d):
-        gradient[j] = sum(
-            np.sum(weight * k * (image[:, None, j] - at[None, :, j]) ** 2)
-            for image, k in zip(images, kernels, strict=True)
-        )
+    gradient = np.zeros(d + 1)
+    for image, kernel in zip(images, kernels, strict=True):  # sum of w_ij (x_i - y_j)^2, squares multiplied out
+        w = weight * kernel
+        gradient[:d] += w.sum(axis=1) @ image**2 + w.sum(axis=0) @ at**2 - 2.0 * np.sum(image * (w @ at), axis=0)
     gradient[d] = np.diagonal(weight) @ nugget_factor * nugget
     return float(cost), gradient
 
