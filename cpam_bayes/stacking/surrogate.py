@@ -38,8 +38,9 @@ Tangent = Callable[[Array], tuple[Array, Array]]
 _FIRST = 12
 # Cells that stay farther below the top than this, nats, are halved once only.
 _REFINED_DEPTH_NATS = 6.0
-# Cells that a worker takes at a time.
-_BATCH = 8192
+# Cells that a worker takes at a time, and batches that are gathered: what comes in many small pieces is not
+# given back to the system.
+_BATCH, _GATHERED = 8192, 64
 # Factors on the half-width and on the slack of a cell that may be halved: its tangent says less of it.
 _COARSE_WIDTH, _COARSE_SLACK = 1.5, 3.0
 # Below the best by more than this, nats, a log evidence counts as this far below.
@@ -228,9 +229,13 @@ def _cost(
     inverse = scipy.linalg.cho_solve(factor, np.eye(n))
     weight = (p * inverse - (alpha / amplitude) @ alpha.T) * 0.5
     gradient = np.zeros(d + 1)
-    for image, kernel in zip(images, kernels, strict=True):  # sum of w_ij (x_i - y_j)^2, squares multiplied out
+    for image, kernel in zip(
+        images, kernels, strict=True
+    ):  # sum of w_ij (x_i - y_j)^2, squares multiplied out
         w = weight * kernel
-        gradient[:d] += w.sum(axis=1) @ image**2 + w.sum(axis=0) @ at**2 - 2.0 * np.sum(image * (w @ at), axis=0)
+        gradient[:d] += (
+            w.sum(axis=1) @ image**2 + w.sum(axis=0) @ at**2 - 2.0 * np.sum(image * (w @ at), axis=0)
+        )
     gradient[d] = np.diagonal(weight) @ nugget_factor * nugget
     return float(cost), gradient
 
@@ -338,10 +343,14 @@ def piecewise_linear_surrogate(
             freedom=freedom,
         )
         batches = np.split(centre, range(_BATCH, len(centre), _BATCH))
-        sorted_cells = run(_leaves_and_halved, level, batches, executor, batch_size=1, is_limited=True)
-        leaves += [kept for kept, _ in sorted_cells]
-        halved = np.concatenate([centres for _, centres in sorted_cells])
-        centre = (halved[:, None, :] + width * _mesh(np.array([-0.25, 0.25]))).reshape(-1, 4)
+        halved = []
+        for i in range(0, len(batches), _GATHERED):
+            some = batches[i : i + _GATHERED]
+            sorted_cells = run(_leaves_and_halved, level, some, executor, batch_size=1, is_limited=True)
+            leaves.append(_gathered([kept for kept, _ in sorted_cells]))
+            halved += [centres for _, centres in sorted_cells]
+            del sorted_cells  # nothing is in memory twice
+        centre = (np.concatenate(halved)[:, None, :] + width * _mesh(np.array([-0.25, 0.25]))).reshape(-1, 4)
         width *= 0.5
     first, leaf = _box(leaves, _FIRST << halvings)
     return PiecewiseLinearSurrogate(
@@ -396,6 +405,14 @@ def _leaves_and_halved(level: _Level, centre: Array) -> tuple[_Leaves, Array]:
     at_zero = y[leaf] - np.einsum("lzj,lj->lz", slope[leaf, :, :4], centre[leaf])
     tangent = np.concatenate((at_zero[:, :, None], slope[leaf]), axis=2)
     return _Leaves(level.side, corner, tangent.astype(np.float32)), centre[finer]
+
+
+def _gathered(leaves: list[_Leaves]) -> _Leaves:
+    """Cells of one width together."""
+    corner, tangent = (
+        np.concatenate([getattr(each, name) for each in leaves]) for name in ("corner", "tangent")
+    )
+    return _Leaves(leaves[0].side, corner, tangent)
 
 
 def _box(leaves: list[_Leaves], n: int) -> tuple[Array, Array]:
