@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from cpam_bayes import __version__
 from cpam_bayes.answer import Constant
 from cpam_bayes.fingerprint import fingerprint
-from cpam_bayes.identification.search import search
+from cpam_bayes.identification.point import PointEstimate, estimate_constants
+from cpam_bayes.identification.search import MOST_SWARMS, search
 from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS, EnsembleSettings
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.plate import Specimen, builtin, read_plate, to_si, to_user, user_name
@@ -34,7 +35,6 @@ from cpam_bayes.printed.tables import PrintedRow, printed_table
 from cpam_bayes.questions.diagnose import diagnose
 from cpam_bayes.questions.forward import forward
 from cpam_bayes.questions.identify.emcee import SampledResult, sample
-from cpam_bayes.questions.identify.pso import PointResult, identify
 from cpam_bayes.questions.paper.layups import (
     bounds_alone,
     layup_case,
@@ -158,7 +158,7 @@ def with_constants(specimen: Specimen, row: PrintedRow) -> Specimen:
 _RANK: Final = 1e-6
 
 
-def well_posed(point: PointResult) -> dict[str, Any]:
+def well_posed(estimate: PointEstimate) -> dict[str, Any]:
     """Existence, uniqueness and stability of the solution at the best optimum, as plain data.
 
     Existence: the misfit that is left, sqrt(sum r^2 / (n_f - n)), r the relative residuals. Uniqueness: the
@@ -166,7 +166,6 @@ def well_posed(point: PointResult) -> dict[str, Any]:
     tell apart. Stability: sd of ln x for an independent relative noise of frequencies, over that noise:
     the roots of the diagonal of (S^T S)^-1, bounds left out; None where the rank is not full.
     """
-    estimate = point.estimate
     measurement = estimate.specimen.measurement
     assert measurement is not None
     x = np.array([c.value for c in estimate.constants])
@@ -367,17 +366,17 @@ def _forward(effort: Effort, task: Task) -> Results:
 def _constants(effort: Effort, task: Task) -> Results:
     """The optimum that several swarms find, single swarms, the posterior, the misfit of printed constants."""
     specimen = case_specimen(task.specimen, task.case)
-    best = identify(specimen, seed=task.seed, settings=effort.swarm, residuals="absolute")
+    best = estimate_constants(specimen, task.seed, swarms=MOST_SWARMS, settings=effort.swarm)
     seeds = range(task.seed, task.seed + effort.swarms)
     singles = [
-        search(specimen, seed, settings=effort.swarm, centre=best.estimate.centre).swarm for seed in seeds
+        search(specimen, seed, settings=effort.swarm, centre=best.centre).swarm for seed in seeds
     ]
-    least = best.estimate.swarm.value
+    least = best.swarm.value
     found = [single.value <= (1.0 + _SAME_OPTIMUM) * least for single in singles]
     posterior = None
     if effort.full:
         posterior = sample(specimen, seed=task.seed, settings=effort.chains, swarm_settings=effort.swarm)
-    intervals = _linearised(best.estimate.constants) if posterior is None else _sampled(posterior)
+    intervals = _linearised(best.constants) if posterior is None else _sampled(posterior)
     return {
         "constants": {
             user_name(c.name): {
@@ -385,17 +384,17 @@ def _constants(effort: Effort, task: Task) -> Results:
                 "bound": c.bound,
                 **{key: to_user(c.name, value) for key, value in intervals[c.name].items()},
             }
-            for c in best.estimate.constants
+            for c in best.constants
         },
         "objective": float(least),
-        "rms_percent": 100.0 * best.estimate.rms,
-        "optimum_found_again": best.status == "converged",
+        "rms_percent": 100.0 * best.rms,
+        "optimum_found_again": best.swarm.status == "converged",
         "swarms": effort.swarms,
         "swarms_found": sum(found),
         "swarms_converged": sum(single.status == "converged" for single in singles),
         "well_posed": well_posed(best),
         "posterior_converged": posterior is None or posterior.reached_goal,
-        "forward_solves": sum(swarm.evaluations for swarm in (best.estimate.swarm, *singles))
+        "forward_solves": sum(swarm.evaluations for swarm in (best.swarm, *singles))
         + (0 if posterior is None else posterior.forward_solves),
         "printed": [
             {"source": row.source, **_misfit(specimen, row)}
