@@ -336,7 +336,7 @@ def frequencies() -> list[float]:
 def test_frequencies_grow_as_the_root_of_the_modulus(frequencies: list[float]) -> None:
     """d ln f / d ln E = 1/2 for all n modes: sd(ln E) = 2 / sqrt(n) times the noise."""
     off = [f * (1.0 + 0.01 * (-1) ** i) for i, f in enumerate(frequencies)]
-    answer = well_posed(cb.identify(isotropic(off, E1_GPa=[50.0, 90.0]), residuals="relative"))
+    answer = well_posed(cb.identify(isotropic(off, E1_GPa=[50.0, 90.0]), residuals="relative").estimate)
     assert answer["percent_per_percent"]["E1_GPa"] == pytest.approx(2.0 / math.sqrt(6.0), rel=1e-4)
     assert (answer["rank"], answer["condition"], answer["optima"]) == (1, pytest.approx(1.0), 1)
     # +-1 % about one modulus: sqrt(6 0.01^2 / 5), to the second order in 0.01
@@ -345,8 +345,8 @@ def test_frequencies_grow_as_the_root_of_the_modulus(frequencies: list[float]) -
 
 def test_two_constants_that_all_frequencies_see_alike_are_ill_conditioned(frequencies: list[float]) -> None:
     """The amplification of the modulus grows when Poisson's ratio is unknown beside it."""
-    alone = well_posed(cb.identify(isotropic(frequencies, E1_GPa=[50.0, 90.0])))
-    both = well_posed(cb.identify(isotropic(frequencies, E1_GPa=[50.0, 90.0], nu12=[0.1, 0.45])))
+    alone = well_posed(cb.identify(isotropic(frequencies, E1_GPa=[50.0, 90.0])).estimate)
+    both = well_posed(cb.identify(isotropic(frequencies, E1_GPa=[50.0, 90.0], nu12=[0.1, 0.45])).estimate)
     assert both["rank"] == 2
     assert both["condition"] > 2.0
     assert both["percent_per_percent"]["E1_GPa"] > alone["percent_per_percent"]["E1_GPa"]
