@@ -56,6 +56,7 @@ from cpam_bayes.stacking.conditional import (
     ConditionalFits,
     ConditionalPosterior,
     conditional_posterior,
+    fit_conditionals,
 )
 from cpam_bayes.stacking.evaluation import of_sequence, scan_library, scanned_starts
 from cpam_bayes.stacking.queries import GivenLayup
@@ -143,8 +144,8 @@ def stacking_problem(
     library = scan_library(as_stated, _LIBRARY_SIZE, np.random.default_rng([seed, 8]))
     rng = np.random.default_rng([seed, 10])
     by_theory = _theory_error(specimen, model, grid, rng)
-    nearest = _nearest(as_stated, grid, library, rng)
-    common, left = _common(_in_common(specimen, model, nearest), measurement)
+    nearest, constants = _nearest(as_stated, grid, library, rng)
+    common, left = _common(_in_common(specimen, model, nearest, constants), measurement)
     error = np.sqrt(by_solver**2 + by_theory**2 + left**2)
     conditional = conditional_posterior(model, layup.n_unknown, measurement, error, common)
     return StackingProblem(
@@ -202,13 +203,19 @@ def model_of(sequence: Specimen, model: ReducedModel) -> PlateModel:
     return replace(own, operator=replace(own.operator, problem=problem))
 
 
-def _nearest(as_stated: ConditionalPosterior, grid: Array, library: Array, rng: np.random.Generator) -> Array:
-    """Of sequences drawn evenly that whose frequencies come nearest the list, (k,) degrees."""
+def _nearest(
+    as_stated: ConditionalPosterior, grid: Array, library: Array, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Of sequences drawn evenly that whose frequencies come nearest the list, (k,) degrees, fitted to it.
+
+    Second, its constants (n_constants,), at which modes are in the order of the list.
+    """
     nearest = np.unique(rng.choice(grid, size=(_TRIED, as_stated.n_angles)), axis=0)
     for some, kept in ((library[:_TRIED_WITH], _TRIED_AGAIN), (library, 1)):
-        misfit = scanned_starts(as_stated, nearest, some, 1)[1][:, 0]
-        nearest = nearest[np.argsort(misfit, kind="stable")[:kept]]
-    return np.asarray(nearest[0])
+        starts, misfit = scanned_starts(as_stated, nearest, some, 1)
+        best = np.argsort(misfit[:, 0], kind="stable")[:kept]
+        nearest, starts = nearest[best], starts[best]
+    return nearest[0], fit_conditionals(as_stated, nearest, starts).x[0, : as_stated.n_constants]
 
 
 def _theory_error(specimen: Specimen, model: ReducedModel, grid: Array, rng: np.random.Generator) -> Array:
@@ -227,16 +234,16 @@ def _theory_error(specimen: Specimen, model: ReducedModel, grid: Array, rng: np.
     return np.asarray(np.sqrt(squared / _THEORY_SEQUENCES))
 
 
-def _in_common(specimen: Specimen, model: ReducedModel, angles: Array) -> Array:
-    """Relative errors of the modes of a sequence (k,) that all have in common, as of ``common_errors``.
+def _in_common(specimen: Specimen, model: ReducedModel, angles: Array, constants: Array) -> Array:
+    """Relative errors that the modes of a sequence (k,) have in common at its constants (n_constants,).
 
-    A standard deviation of each by sizes, mass, frequency scale and theory, (n_errors, n_modes).
+    A standard deviation of each by sizes, mass, frequency scale and theory, as of ``common_errors``,
+    (n_errors, n_modes).
     """
     one = with_angles(specimen, angles)
-    values = dict(zip(model.parameters.names, reference_vector(specimen, model.parameters), strict=True))
-    constants = {name: float(values[name]) for name in specimen.unknowns.names}
     own = model_of(one, model)
-    return np.array(list(common_errors(one, own, constants, np.arange(model.n_modes)).values()))
+    values = dict(zip(specimen.unknowns.names, map(float, constants), strict=True))
+    return np.array(list(common_errors(one, own, values, np.arange(model.n_modes)).values()))
 
 
 def _common(errors: Array, measurement: Measurement) -> tuple[CommonErrors, Array]:

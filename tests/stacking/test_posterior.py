@@ -70,10 +70,54 @@ def test_a_symmetric_sequence_of_an_unsymmetric_laminate_has_its_common_errors()
     own = replace(unknown_plate("[?/?/0]", step=45.0), measurement=builtin("C1").measurement)
     full = converged_model(own, angle_parameters(own).union(own.unknowns), 6)
     model: Any = SimpleNamespace(full=full, n_modes=6, parameters=full.parameters)
+    constants = reference_vector(own, own.unknowns)
     for angles in ((0.0, 0.0), (45.0, 0.0)):
-        errors = stacking._in_common(own, model, np.array(angles))
+        errors = stacking._in_common(own, model, np.array(angles), constants)
         # of a thin plate thickness and density, 1 % each, move all modes by 1 and 0.5 %
         np.testing.assert_allclose(np.linalg.norm(errors, axis=0), np.hypot(0.01, 0.005), rtol=0.2)
+
+
+def test_errors_in_common_are_those_of_modes_that_cross_on_the_way_to_the_list() -> None:
+    """Two modes change places between the reference and the plate, and sides are known to 1 %."""
+    own = read_plate(
+        {
+            "name": "two modes that cross",
+            "plate": {
+                "length_mm": 310.0,
+                "width_mm": 228.0,
+                "thickness_mm": 3.1,
+                "mass_g": 340.7,
+                "layup": "[0_2/?/0]_s",
+                "edges": "FFFF",
+                "sd": {"length_mm": 3.1, "width_mm": 2.28, "thickness_mm": 0.02},
+            },
+            "material": {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8},
+            "unknowns": {
+                "E1_GPa": [80.0, 200.0],
+                "E2_GPa": [5.0, 16.0],
+                "nu12": [0.15, 0.45],
+                "G12_GPa": [2.5, 10.0],
+                "angle_grid_deg": 30,
+            },
+            "measurement": {
+                "frequencies_hz": [80.2, 146.3, 218.6, 310.2, 347.8, 403.6, 467.7, 475.4],
+                "relative_std": 0.002,
+            },
+        }
+    )
+    problem = stacking_problem(own, 0)
+    common = problem.conditional.common
+    assert common is not None
+    found = common.powers * common.sd[:, None]
+    at = {"reference": (132e9, 9.1e9, 0.31, 4.8e9), "list": (136.2e9, 8.9e9, 0.3, 4.64e9)}
+    errors = {
+        of: stacking._in_common(own, problem.conditional.model, np.zeros(1), np.array(constants))
+        for of, constants in at.items()
+    }
+    covariance = {of: e.T @ e for of, e in errors.items()}
+    scale = np.abs(covariance["list"]).max()
+    assert np.abs(found.T @ found - covariance["list"]).max() < 0.05 * scale
+    assert np.abs(covariance["reference"] - covariance["list"]).max() > 0.3 * scale
 
 
 @pytest.mark.slow
