@@ -69,6 +69,7 @@ class Constant:
     bound : the bound of the prior that the value sits on
     elsewhere : values at other optima that the noise does not exclude
     rests_on : other constants whose priors the interval rests on too
+    has_former_plate : whether the prior is the posterior of a former plate
     """
 
     name: str
@@ -81,6 +82,7 @@ class Constant:
     bound: Literal["lower", "upper"] | None = None
     elsewhere: tuple[float, ...] = ()
     rests_on: tuple[str, ...] = ()
+    has_former_plate: bool = False
 
     @property
     def has_reference_prior(self) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -36,10 +35,6 @@ __all__ = [
 ]
 
 
-# Normal scores are cut here, where probabilities are rounding.
-_MAX_SCORE = 8.0
-
-
 @dataclass(frozen=True, slots=True)
 class Coupled:
     """The place of a parameter among some whose priors are correlated.
@@ -47,13 +42,11 @@ class Coupled:
     group : what they are of, the file that tells their correlations
     correlation : of their normal scores, a row for each
     row : of the parameter
-    unmeasured_sd : standard deviation that it would have without the file, None for that of its bounds alone
     """
 
     group: str
     correlation: tuple[tuple[float, ...], ...]
     row: int
-    unmeasured_sd: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,14 +78,6 @@ class Parameter:
     def own(self) -> str:
         """Its name without the plate, material or list that it belongs to."""
         return self.base or self.name
-
-    @property
-    def unmeasured_sd(self) -> float:
-        """Standard deviation before any measurement, one of a former plate too."""
-        prior = self.prior
-        if self.coupled is None:
-            return prior.sd
-        return self.coupled.unmeasured_sd or (prior.upper - prior.lower) / math.sqrt(12.0)
 
     @property
     def display(self) -> tuple[str, float]:
@@ -239,7 +224,7 @@ class ParameterSet:
         for i, parameter in enumerate(self.parameters):
             total = total + parameter.prior.log_density(x[..., i])
         if self.root is not None:
-            scores = np.clip(self._priors.to_normal(x), -_MAX_SCORE, _MAX_SCORE)
+            scores = np.clip(self._priors.to_normal(x), -self._priors.reach, self._priors.reach)
             free = scores @ np.linalg.inv(self.root).T
             total = total + 0.5 * np.sum(scores**2 - free**2, axis=-1)
             total = total - np.log(np.diag(self.root)).sum()

@@ -106,6 +106,11 @@ class Prior(ABC):
     def sample(self, rng: np.random.Generator, size: int) -> Floats:
         """Independent draws, (size,)."""
 
+    @property
+    def reach(self) -> float:
+        """The score beyond which quantiles say nothing more: they are at the bounds, or rounding."""
+        return 7.0
+
     def cdf(self, x: ArrayLike) -> Floats:
         """Distribution function F at x, (...) -> (...)."""
         return np.asarray(ndtr(self.to_normal(x)))
@@ -191,6 +196,11 @@ class _Logarithmic(Prior):
 
     @abstractmethod
     def _made_of_logarithm(self) -> Uniform | TruncatedNormal: ...
+
+    @property
+    def reach(self) -> float:
+        """That of the logarithm."""
+        return self._of_logarithm.reach
 
     def sample(self, rng: np.random.Generator, size: int) -> Floats:
         """Independent draws, (size,)."""
@@ -294,8 +304,8 @@ class _Truncated(Prior):
         sign = 1.0
         if a > 0.0:
             a, b, sign = -b, -a, -1.0
-        below = float(self._distribution(a))
-        return _Cut(a, b, sign, below, float(self._distribution(b)) - below)
+        below, above = float(self._distribution(a)), float(self._distribution(-b))
+        return _Cut(a, b, sign, below, above, float(self._distribution(b)) - below)
 
     @property
     def mean(self) -> float:
@@ -309,35 +319,51 @@ class _Truncated(Prior):
 
     def sample(self, rng: np.random.Generator, size: int) -> Floats:
         """Independent draws, (size,)."""
-        return self._from_lower_tail(rng.uniform(size=size))
+        cut = self._cut
+        return self._at(self._quantile(cut.below + cut.mass * rng.uniform(size=size)))
 
     def from_normal(self, z: ArrayLike) -> Floats:
         """x with F(x) = Phi(z), accurate in both tails, (...) -> (...)."""
-        return self._from_lower_tail(ndtr(self._cut.sign * np.asarray(z, dtype=float)))
+        cut = self._cut
+        score = cut.sign * np.asarray(z, dtype=float)
+        side, beyond = self._tail(score)
+        return self._at(side * self._quantile(beyond + cut.mass * ndtr(side * score)))
 
     def to_normal(self, x: ArrayLike) -> Floats:
         """z with Phi(z) = F(x), accurate in both tails, infinite on the bounds, (...) -> (...)."""
         cut = self._cut
         inside = _clipped(np.asarray(x, dtype=float), self.lower, self.upper)
         t = cut.sign * (inside - self._centre) / self.scale
-        p = _clipped((self._distribution(t) - cut.below) / cut.mass, 0.0, 1.0)
-        return np.asarray(cut.sign * ndtri(p))
+        side, beyond = self._tail(t)
+        p = _clipped((self._distribution(side * t) - beyond) / cut.mass, 0.0, 1.0)
+        return np.asarray(cut.sign * side * ndtri(p))
 
-    def _from_lower_tail(self, p: Floats) -> Floats:
-        """x with probability p between it and the bound in the tail that is the lower one after mirroring."""
-        cut = self._cut
-        t = self._quantile(cut.below + cut.mass * p)
-        return _clipped(self._centre + self.scale * cut.sign * t, self.lower, self.upper)
+    def _tail(self, t: Floats) -> tuple[Floats, Floats]:
+        """-1 where a point is on the upper side, else 1, and the probability outside the bound there.
+
+        A probability near one has lost its digits; the standard densities are even. After mirroring all of a
+        density may be on the lower side.
+        """
+        upper = (t > 0.0) & (self._cut.b > 0.0)
+        return np.where(upper, -1.0, 1.0), np.where(upper, self._cut.above, self._cut.below)
+
+    def _at(self, t: Floats) -> Floats:
+        """x so many scales from the centre, mirrored as the cut is."""
+        return _clipped(self._centre + self.scale * self._cut.sign * t, self.lower, self.upper)
 
 
 @dataclass(frozen=True, slots=True)
 class _Cut:
-    """Standardised bounds, mirrored to the lower tail where a distribution function is accurate."""
+    """Standardised bounds, mirrored to the lower tail where a distribution function is accurate.
+
+    below, above : probability outside the bounds
+    """
 
     a: float
     b: float
     sign: float
     below: float
+    above: float
     mass: float
 
 
@@ -366,6 +392,11 @@ class TruncatedNormal(_Truncated):
     @property
     def _centre(self) -> float:
         return self.loc
+
+    @property
+    def reach(self) -> float:
+        """As far as probabilities are numbers, some 37 standard deviations."""
+        return 37.0
 
     def _distribution(self, t: Any) -> Any:
         return ndtr(t)
@@ -671,6 +702,11 @@ class Priors:
         for at, prior in self._parts_of_axis:
             z[..., at] = prior.to_normal(x[..., at])
         return z
+
+    @cached_property
+    def reach(self) -> Floats:
+        """That of each, (n,)."""
+        return np.array([prior.reach for prior in self.priors])
 
     def log_densities(self, x: Floats) -> Floats:
         """Log density of each, (..., n) -> (..., n), -inf outside its bounds and at NaN."""

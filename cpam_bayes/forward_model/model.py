@@ -71,19 +71,16 @@ def constant_parameters(specimen: Specimen, cut: float = np.inf) -> ParameterSet
     Without one it is log-normal, `ASSUMED_SD` wide, where it lies within its bounds. A normal prior of
     [unknowns] stays, as do bounds without a reference and with ``known = false`` under [material].
 
-    A posterior of a former plate stays too; what the prior would be without it tells what was measured.
+    A posterior of a former plate stays too.
 
     Raises ``ValueError`` where the bounds leave nothing of a reference with a standard deviation.
     """
-    unknowns = []
-    for p in specimen.unknowns.parameters:
-        bounds = p if p.coupled is None else replace(p, prior=Uniform(p.prior.lower, p.prior.upper))
-        prior = _about_reference(bounds, specimen, cut)
-        if p.coupled is None:
-            unknowns.append(replace(p, prior=prior))
-        else:
-            unknowns.append(replace(p, coupled=replace(p.coupled, unmeasured_sd=prior.sd)))
-    return ParameterSet(tuple(unknowns), specimen.unknowns.fixed)
+    known = specimen.unknowns
+    unknowns = [
+        p if p.coupled is not None else replace(p, prior=_about_reference(p, specimen, cut))
+        for p in known.parameters
+    ]
+    return ParameterSet(tuple(unknowns), known.fixed)
 
 
 def with_references(specimen: Specimen) -> Specimen:

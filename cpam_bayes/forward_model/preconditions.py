@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from scipy.stats import chi2
 
-from cpam_bayes.answer import Notice, Severity
+from cpam_bayes.answer import Constant, Notice, Severity
 from cpam_bayes.errors import LowFrequencyError, PlateFileError
 from cpam_bayes.formatting import listed, significant
 from cpam_bayes.forward_model.model import NO_PARAMETERS, plate_problem, reference_constants
@@ -415,8 +415,10 @@ _UNEXPLAINED = 1e-3
 _FAR_SD = 3.0
 # Moduli whose ratios to their references differ by no more than this factor have one ratio in common.
 _COMMON = 1.3
+# Standard deviations between a constant and what was known of it that no plate of the material has.
+_CONTRADICTED_SD = 5.0
 # Codes of the notices that the plate model does not describe the frequencies.
-_CONTRADICTING: Final = frozenset({"large_misfit", "misfit_over_noise"})
+_CONTRADICTING: Final = frozenset({"large_misfit", "misfit_over_noise", "no_sequence_explains"})
 
 
 def reference_slips(specimen: Specimen) -> tuple[Notice, ...]:
@@ -556,6 +558,25 @@ def common_factor_slips(
         "weighed": specimen.plate.mass is not None,
     }
     return (Notice("common_factor", "slip", facts),)
+
+
+def reference_contradictions(
+    specimen: Specimen, determined: Mapping[str, tuple[float, float]], answer: Iterable[Constant]
+) -> tuple[Notice, ...]:
+    """`common_factor_slips`, or else constants that contradict their priors, which distort the others.
+
+    determined : as there. answer : all constants, and what else was sought
+    """
+    if common := common_factor_slips(specimen, determined):
+        return common
+    far = []
+    for constant in answer:
+        name = constant.name
+        known = constant.prior.describe() if name in specimen.unknowns else None
+        if known is not None and known.centre is not None:
+            distance = (constant.value - known.centre) / float(np.hypot(known.scale, constant.sd))
+            far += [(name, distance)] if abs(distance) > _CONTRADICTED_SD else []
+    return (Notice("far_reference", "slip", {"distances": tuple(far)}),) if far else ()
 
 
 def equal_list_slips(specimens: Sequence[Specimen]) -> tuple[Notice, ...]:

@@ -248,7 +248,8 @@ def summarise(
         order,
         dict(zip(unknowns.names, prior_sd.tolist(), strict=True)),
     ).errors(usual=residual == "whitened")
-    explained = excess == 1.0
+    # a prior far from the list may leave a misfit that the constants of the search do not
+    explained = excess == 1.0 == misfit_over_noise(measurement, relative, unknowns.size)
     freedom = measurement.size - unknowns.size if inferred or not explained else np.inf
     sd = np.sqrt(np.diag(covariance))
     if posterior is None:
@@ -499,11 +500,10 @@ def sampled_constants(
                 interval=(low, high),
                 prior=prior,
                 reference=float(reference[name]),
-                verdict=verdict_of(
-                    sd, unknown.unmeasured_sd, explained=explained, at_bound=bound is not None
-                ),
+                verdict=verdict_of(sd, prior.sd, explained=explained, at_bound=bound is not None),
                 bound=bound,
                 rests_on=tuple(r.on for r in relied_on if r.name == name),
+                has_former_plate=unknown.coupled is not None,
             )
         )
     return tuple(found)

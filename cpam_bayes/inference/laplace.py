@@ -17,7 +17,7 @@ from scipy.stats import qmc
 
 from cpam_bayes.inference.log_density import LogDensity
 from cpam_bayes.inference.optimise import maximise, polish, promised_gain
-from cpam_bayes.inference.scores import MAX_SCORE, Expansion, best_of_distinct
+from cpam_bayes.inference.scores import Expansion, best_of_distinct
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.mechanics.problem import Array
 
@@ -85,8 +85,7 @@ def maximised(
     most_steps, promised : as in ``maximise``
     weight : (n,) part of the prior's weight that is left out, 0 to 1
     """
-    n = z.shape[1]
-    bound, left_out = np.full(n, MAX_SCORE), np.broadcast_to(weight, n)
+    bound, left_out = density.scores.upper, np.broadcast_to(weight, z.shape[1])
 
     def target(at: Array, rows: Array) -> Expansion:
         del rows
@@ -169,7 +168,7 @@ def find_optima(
 
 def _polished(density: LogDensity, optima: Optima) -> Optima:
     """The optima, each made sure of: two modes that cross leave a kink, where steps shrink before the top."""
-    bound = np.full(optima.z.shape[1], MAX_SCORE)
+    bound = density.scores.upper
     z, parts = [], []
     for i in range(len(optima.z)):
         at = Expansion(*(a[i : i + 1] for a in (optima.value, optima.gradient, optima.curvature)))

@@ -42,8 +42,6 @@ class Expansion:
         )
 
 
-# Scores are cut here: probabilities beyond are rounding.
-MAX_SCORE = 7.0
 _HALF_LOG_2PI = 0.5 * float(np.log(2.0 * np.pi))
 
 
@@ -63,24 +61,27 @@ class NormalScores:
     @property
     def lower(self) -> Array:
         """Least scores, (n,)."""
-        return np.full(self.parameters.size, -MAX_SCORE)
+        return -self.upper
 
     @property
     def upper(self) -> Array:
         """Largest scores, (n,)."""
-        return np.full(self.parameters.size, MAX_SCORE)
+        return self._priors.reach
 
     def to_x(self, z: Array) -> Array:
         """Parameters of scores (..., n), within their bounds."""
         # cut, for half-bounded parameters have no finite value at the end
-        return self._priors.from_normal(np.minimum(np.maximum(self._coupled(z), -MAX_SCORE), MAX_SCORE))
+        return self._priors.from_normal(self._cut(self._coupled(z)))
 
     def to_z(self, x: Array) -> Array:
         """Scores of parameters (..., n)."""
-        z = np.clip(self._priors.to_normal(x), -MAX_SCORE, MAX_SCORE)
+        z = self._cut(self._priors.to_normal(x))
         if self.parameters.root is None:
             return z
-        return np.clip(z @ np.linalg.inv(self.parameters.root).T, -MAX_SCORE, MAX_SCORE)
+        return self._cut(z @ np.linalg.inv(self.parameters.root).T)
+
+    def _cut(self, z: Array) -> Array:
+        return np.asarray(np.minimum(np.maximum(z, self.lower), self.upper))
 
     def _coupled(self, z: Array) -> Array:
         root = self.parameters.root
@@ -88,7 +89,7 @@ class NormalScores:
 
     def of_each(self, x: Array) -> tuple[Array, Array]:
         """Scores of parameters (..., n) as if they were independent, and the slopes of these, (..., n)."""
-        v = np.clip(self._priors.to_normal(x), -MAX_SCORE, MAX_SCORE)
+        v = self._cut(self._priors.to_normal(x))
         return v, np.exp(self._priors.log_densities(x) + 0.5 * v**2 + _HALF_LOG_2PI)
 
     def by_score(self, slope: Array, x: Array, z: Array) -> Array:
@@ -103,7 +104,7 @@ class NormalScores:
         """Slopes of parameters over their own scores L z, (..., n): the normal density over the prior's."""
         log_density, own = self._priors.log_densities(x), self._coupled(z)
         if self.parameters.root is not None:
-            own = np.clip(own, -MAX_SCORE, MAX_SCORE)
+            own = self._cut(own)
         return np.asarray(np.exp(-0.5 * own**2 - _HALF_LOG_2PI - log_density))
 
     def log_prior(self, z: Array) -> Array:

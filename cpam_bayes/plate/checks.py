@@ -621,6 +621,11 @@ def _frequencies(data: Data) -> Problems:
             )
 
 
+def _below(known: list[tuple[int, float]], i: int) -> float:
+    """The frequency before the one before number i, or zero."""
+    return known[i - 2][1] if i > 1 else 0.0
+
+
 def _order(frequencies: list[float | None]) -> Problems:
     """One problem of a list that is not ascending, or has one frequency again and again."""
     known = [(i, value) for i, value in enumerate(frequencies) if value is not None]
@@ -635,7 +640,7 @@ def _order(frequencies: list[float | None]) -> Problems:
         if all(b < rest[0] and b == int(b) for _, _, b in down) and rest == sorted(rest) and not whole:
             pair = f"{before:g},{after:g}"
             cure = f"; are these decimal commas? {pair} is two numbers, write {pair.replace(',', '.')}"
-        elif len(down) == 1 and ([0.0] + [a for _, a in known])[i - 1] <= before / 10.0 <= after:
+        elif len(down) == 1 and before == int(before) and _below(known, i) <= before / 10.0 <= after:
             cure = f"; has {before:g} lost its decimal comma? {before / 10.0:g} would fit"
         yield Problem(
             ("measurement", "frequencies_hz", i),

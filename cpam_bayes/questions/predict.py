@@ -452,8 +452,8 @@ def _contained(result: PredictionResult) -> str:
     if result.sizes_of_posterior:
         sizes, exact = [*result.posterior.sizes], ""
     else:
-        sizes = list(result.specimen.plate.sd)
-        exact = "" if sizes else "; sizes and mass are assumed exact"
+        sizes = [name for name, sd in result.specimen.plate.known_to.items() if sd > 0.0]
+        exact = "" if sizes else "; sizes and mass are exact"
     return f"The intervals contain {listed(['the constants', *sizes], 'and')}{exact}."
 
 

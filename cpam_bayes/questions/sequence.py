@@ -20,6 +20,7 @@ from cpam_bayes.forward_model.preconditions import (
     explained_failures,
     misfit_over_noise,
     misfit_slips,
+    reference_contradictions,
     reference_slips,
     require_reachable,
     require_seed,
@@ -49,6 +50,7 @@ from cpam_bayes.render.sentences import (
     errors_table,
     fit_sentence,
     intervals_sentence,
+    mismatch_step,
     plate_argument,
     references_said,
     reliance_sentences,
@@ -108,6 +110,7 @@ class StackingResult(PlateResult):
     information : what the frequencies tell about each ply
     explained : whether noise as stated explains what the most probable sequence leaves of the list
     scale_errors : what errors of sizes, mass and frequency scale do to the constants
+    constants : over all sequences
     reliances : intervals that rest on the bounds or the prior of another constant
     top : sequences in the JSON document
     """
@@ -121,6 +124,7 @@ class StackingResult(PlateResult):
     information: AngleInformation
     explained: bool
     scale_errors: tuple[ScaleError, ...]
+    constants: tuple[Constant, ...]
     reliances: tuple[Reliance, ...]
     top: int
 
@@ -250,10 +254,13 @@ def stacking_result(
         {name: unknowns[name].prior.sd for name in unknowns.names},
         listed,
     )
+    explained = misfit_over_noise(measurement, fit.residual, specimen.unknowns.size) == 1.0
+    reliances = _reliances(answer, mixture)
+    constants = _constants(answer, mixture, reliances, explained=explained)
     return StackingResult(
         seed=seed,
         notices=(
-            *_slips(specimen, fit),
+            *_slips(specimen, fit, constants),
             *stacking_notices(answer, mixture, fit),
             *exchange_notices(specimen),
         ),
@@ -265,9 +272,10 @@ def stacking_result(
         given=given,
         fit=fit,
         information=angle_information(specimen.plate.layup, answer.marginals),
-        explained=misfit_over_noise(measurement, fit.residual, specimen.unknowns.size) == 1.0,
+        explained=explained,
         scale_errors=taken_up.errors(usual=True),
-        reliances=_reliances(answer, mixture),
+        constants=constants,
+        reliances=reliances,
         top=top,
     )
 
@@ -279,7 +287,7 @@ def _reliances(answer: StackingPosterior, mixture: StackingMixture) -> tuple[Rel
     return reliances(names, covariance, np.array([parameters[name].prior.sd for name in names]))
 
 
-def _slips(specimen: Specimen, fit: BestFit) -> tuple[Notice, ...]:
+def _slips(specimen: Specimen, fit: BestFit, constants: tuple[Constant, ...]) -> tuple[Notice, ...]:
     """Likely slips that ruin the answer."""
     residual = np.asarray(fit.residual)[np.isfinite(fit.residual)]
     misfit = float(np.sqrt(np.mean(residual**2))) if residual.size else 0.0
@@ -288,6 +296,7 @@ def _slips(specimen: Specimen, fit: BestFit) -> tuple[Notice, ...]:
     return (
         *stated_slips(specimen),
         *count_slips(measurement.size, specimen.unknowns.size),
+        *reference_contradictions(specimen, {}, constants),
         *misfit_slips(misfit),
         *reference_slips(specimen),
     )
@@ -321,7 +330,7 @@ def _present(result: StackingResult) -> Report:
     every = tuple(ListedSequence(answer, mixture, i) for i in range(min(result.top, len(answer.top))))
     sequences = Rows("sequences", SEQUENCES, every)
     frequencies = _frequencies(result)
-    constants = _constants(result)
+    constants = result.constants
     told = tuple(c.name for c in constants if not c.is_open)
     errors = result.scale_errors
     return Report(
@@ -414,6 +423,8 @@ def _fit(result: StackingResult) -> str:
 
 
 def _next_step(result: StackingResult, first: ListedSequence) -> str:
+    for step in mismatch_step(result.specimen, result.notices):
+        return step
     if first.together < _SURE:
         return 'write known angles instead of "?", bound the constants, or measure more modes.'
     return (
@@ -422,11 +433,13 @@ def _next_step(result: StackingResult, first: ListedSequence) -> str:
     )
 
 
-def _constants(result: StackingResult) -> tuple[Constant, ...]:
-    """The constants over all sequences."""
-    parameters, draws = result.answer.conditional.parameters, result.mixture.parameters
-    reference, constants = result.specimen.material.constants, []
-    for i, name in enumerate(result.specimen.unknowns.names):
+def _constants(
+    answer: StackingPosterior, mixture: StackingMixture, relied_on: tuple[Reliance, ...], *, explained: bool
+) -> tuple[Constant, ...]:
+    """The constants over all sequences; explained : as in `StackingResult`."""
+    parameters, draws = answer.conditional.parameters, mixture.parameters
+    reference, constants = answer.specimen.material.constants, []
+    for i, name in enumerate(answer.specimen.unknowns.names):
         low, high = np.quantile(draws[:, i], (0.025, 0.975))
         prior, sd = parameters[name].prior, float(draws[:, i].std())
         constants.append(
@@ -437,8 +450,9 @@ def _constants(result: StackingResult) -> tuple[Constant, ...]:
                 interval=(float(low), float(high)),
                 prior=prior,
                 reference=float(reference.get(name, np.nan)),
-                verdict=verdict_of(sd, prior.sd, explained=result.explained),
-                rests_on=tuple(r.on for r in result.reliances if r.name == name),
+                verdict=verdict_of(sd, prior.sd, explained=explained),
+                rests_on=tuple(r.on for r in relied_on if r.name == name),
+                has_former_plate=parameters[name].coupled is not None,
             )
         )
     return tuple(constants)

@@ -6,6 +6,7 @@ Matplotlib loads when a figure is drawn.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,9 +46,10 @@ def save_figures(figures: Mapping[str, Figure], directory: Path) -> None:
 
     for name, figure in figures.items():
         FigureCanvasAgg(figure)
-        figure.savefig(directory / f"{name}.png", dpi=_DPI)
         # One salt for two figures would give them the same element names on one page.
-        with mpl.rc_context({"svg.hashsalt": name}):
+        with mpl.rc_context({"svg.hashsalt": name}), warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Glyph")  # of a name that the font lacks: a box stands for it
+            figure.savefig(directory / f"{name}.png", dpi=_DPI)
             figure.savefig(directory / f"{name}.svg", metadata={"Date": None})
 
 

@@ -269,7 +269,7 @@ def _common_factor(facts: Facts) -> str:
     distances, ratio = facts["distances"], facts["ratio"]
     far = [f"{name} by {significant(abs(z), 2)}" for name, z in distances]
     side = "above" if distances[0][1] > 0.0 else "below"
-    lie = "The modulus lies" if len(far) == 1 else "All determined moduli lie"
+    lie = "The modulus lies" if len(far) == 1 else "The moduli lie"
     begun = f"{lie} far {side} the reference ({', '.join(far)} standard deviations)"
     weighed = facts["weighed"]
     mass = "mass" if weighed else "density"
@@ -286,6 +286,17 @@ def _common_factor(facts: Facts) -> str:
         f"{significant(true_thickness, 3)} mm instead of {thickness:g} mm, a {mass} "
         f"{significant(1.0 / ratio, 3)} times as large, {attached}or frequencies "
         f"{significant(ratio**0.5, 3)} times too high. Check these, and the material."
+    )
+
+
+def _far_reference(facts: Facts) -> str:
+    far = [
+        f"{name} lies {significant(abs(z), 2)} standard deviations {'above' if z > 0.0 else 'below'} it"
+        for name, z in facts["distances"]
+    ]
+    return (
+        f"The list contradicts what the plate file says of the material: {listed(far, 'and')}. Such a prior "
+        "distorts all constants: correct it, or let the bounds alone count."
     )
 
 
@@ -548,6 +559,7 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
         "test: the plate model may lack something, and then the intervals can miss the true constants."
     ),
     "common_factor": _common_factor,
+    "far_reference": _far_reference,
     "search_model": _search_model,
     "poor_fit": (
         "The best fit of mode {mode} is {residual:signed percent} off. Do not trust the constants before the "

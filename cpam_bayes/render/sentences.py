@@ -85,6 +85,8 @@ def determined_text(c: Constant) -> str:
     if c.verdict is Verdict.MISFIT:
         return "not determined: the model does not fit"
     if c.verdict is Verdict.PRIOR:
+        if c.has_former_plate:
+            return "not determined: the former plate decides"
         if not c.has_reference_prior:
             return "not determined"
         is_far = abs(c.value - c.reference) > _OFF_REFERENCE_SD * c.prior.sd
@@ -325,6 +327,8 @@ def _with_unit(name: str, text: str) -> str:
 
 
 def _prior_counts(c: Constant) -> str:
+    if c.has_former_plate:
+        return "the former plate counts"
     kind, numbers = _prior_text(c.name, c.prior)
     if c.has_reference_prior:
         kind = "the data sheet's"

@@ -67,7 +67,7 @@ def _of_fit(result: StackingPosterior, fit: BestFit) -> Iterator[Notice]:
     template = result.conditional.template
     complete = template.measurement.complete
     if fit.p_value is not None and fit.p_value < UNEXPLAINED:
-        yield Notice("no_sequence_explains", facts={"p": fit.p_value, "complete": complete})
+        yield Notice("no_sequence_explains", "slip", {"p": fit.p_value, "complete": complete})
     alone = int(np.isnan(fit.predicted).sum())
     if alone:
         facts = {"alone": alone, "of": len(fit.predicted), "complete": complete}

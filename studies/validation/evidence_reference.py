@@ -19,7 +19,7 @@ from scipy.special import logsumexp
 
 from cpam_bayes.inference.log_density import CorrelatedDensity
 from cpam_bayes.inference.optimise import maximise
-from cpam_bayes.inference.scores import MAX_SCORE, Expansion
+from cpam_bayes.inference.scores import Expansion
 from cpam_bayes.inference.student_mixture import (
     Mixture,
     Weighted,
@@ -150,7 +150,7 @@ def _ranked(drawn: _Drawn) -> Array:
 def _optimised(comparison: CorrelatedDensity, z: Array, held: tuple[int, ...]) -> tuple[Array, Expansion]:
     """Where optimisations from scores (m, n) end, those of some columns held."""
     free = np.delete(np.arange(z.shape[1]), held)
-    bound = np.full(len(free), MAX_SCORE)
+    bound = comparison.scores.upper[free]
 
     def target(at: Array, rows: Array) -> Expansion:
         whole = z[rows].copy()

@@ -261,6 +261,11 @@ def test_what_can_mean_one_thing_is_understood(good: str, written: str) -> None:
     assert found.unknowns["E1"].prior == meant.unknowns["E1"].prior
 
 
+def test_two_entries_in_the_wrong_order_lost_no_comma_where_they_have_a_point(tmp_path) -> None:
+    problem = one_problem(GOOD.replace(LIST, "[20.2, 403.6, 347.8, 475.1]", 1), tmp_path)
+    assert problem.endswith("accepted: ascending, equal ones for a degenerate pair")
+
+
 @pytest.mark.parametrize(("good", "written", "said"), REFUSED, ids=[written for _, written, _ in REFUSED])
 def test_a_slip_is_one_message_with_its_cure(tmp_path, good: str, written: str, said: str) -> None:
     assert good in GOOD

@@ -51,6 +51,7 @@ FACTS: dict[str, dict[str, object]] = {
     "large_misfit": {"misfit": 0.05, "slips": (("clamped", 0, 0.0, "FCFF"),), "fit": 0.002},
     "misfit_over_noise": {"times": 3.4},
     "high_noise": {"noise": 0.022},
+    "far_reference": {"distances": (("E1", -8.4), ("G12", 5.8))},
     "common_factor": {"distances": (("E1", -4.0),), "ratio": 0.5, "thickness": 3.2e-3, "weighed": False},
     "search_model": {"reduced": 5.0, "full": 2.05, "relative": False},
     "poor_fit": {"mode": 3, "residual": 0.08},

@@ -10,7 +10,7 @@ import numpy as np
 from cpam_bayes.inference.laplace import Optima
 from cpam_bayes.inference.log_density import CorrelatedDensity
 from cpam_bayes.inference.optimise import maximise
-from cpam_bayes.inference.scores import MAX_SCORE, Expansion
+from cpam_bayes.inference.scores import Expansion
 from cpam_bayes.mechanics.problem import Array
 
 
@@ -35,7 +35,7 @@ def size_points(comparison: CorrelatedDensity, column: int, n: int) -> Array:
     lower, upper = comparison.parameters.lower[column], comparison.parameters.upper[column]
     prior = comparison.parameters.parameters[column].prior
     x = lower + (upper - lower) * (np.arange(n) + 0.5) / n
-    return np.clip(np.asarray(prior.to_normal(x)), -MAX_SCORE, MAX_SCORE)
+    return np.clip(np.asarray(prior.to_normal(x)), -prior.reach, prior.reach)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +106,7 @@ def conditional_optima(
         e = comparison.expand(inserted(columns, scores[rows], r))
         return Expansion(e.value, e.gradient[:, rest], e.curvature[:, rest][:, :, rest])
 
-    bound = np.full(len(rest), MAX_SCORE)
+    bound = comparison.scores.upper[rest]
     start = _along_tangents(columns, rest, scores, optima)
     maxima = maximise(target, start, -bound, bound, most_steps=_NODE.steps, promised=_NODE.promised)
     e = maxima.expansion

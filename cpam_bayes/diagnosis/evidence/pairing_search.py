@@ -27,7 +27,7 @@ from cpam_bayes.diagnosis.hypotheses import NONE, Hypothesis
 from cpam_bayes.inference.laplace import SEARCH, prior_draws
 from cpam_bayes.inference.log_density import CorrelatedDensity, coarse_misfit, kept_of
 from cpam_bayes.inference.optimise import Maxima, maximise, promised_gain
-from cpam_bayes.inference.scores import MAX_SCORE, Expansion
+from cpam_bayes.inference.scores import Expansion
 from cpam_bayes.mechanics.problem import Array
 
 # Draws that each pairing is fitted from, those that go on, and the steps of both rounds.
@@ -173,7 +173,7 @@ def _maximised(
         reach = e.value + _OVERSHOOT * promised_gain(e.gradient, e.curvature)
         return np.asarray(reach < factor * best - _HOPELESS_NATS)
 
-    bound = np.full(n, MAX_SCORE)
+    bound = plain.scores.upper
     return maximise(target, z, -bound, bound, most_steps=steps, promised=1e-2, hopeless=hopeless, known=known)
 
 

@@ -270,7 +270,8 @@ def _constants_of(d: Diagnosis, moments: Mapping[str, Moments], *, explained: bo
         case = next((c for c in d.cases if name in c.models.specimen.unknowns.names), None)
         if case is None:
             continue
-        prior = case.models.parameters[name].prior
+        parameter = case.models.parameters[name]
+        prior = parameter.prior
         found.append(
             Constant(
                 name,
@@ -281,6 +282,7 @@ def _constants_of(d: Diagnosis, moments: Mapping[str, Moments], *, explained: bo
                 float(reference_constants(case.models.specimen).get(name, float("nan"))),
                 verdict_of(sd, prior.sd, explained=explained),
                 rests_on=tuple(r.on for r in d.reliances if r.name == name),
+                has_former_plate=parameter.coupled is not None,
             )
         )
     return tuple(found)

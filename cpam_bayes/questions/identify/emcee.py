@@ -18,7 +18,6 @@ from cpam_bayes.forward_model.known_errors import FREQUENCY_SCALE, ScaleError, a
 from cpam_bayes.forward_model.labels import ShapePairing, by_shape, list_order
 from cpam_bayes.forward_model.model import SIZES, air_shifts, discretisation_error, with_references
 from cpam_bayes.forward_model.preconditions import (
-    common_factor_slips,
     count_slips,
     exchange_notices,
     explained_failures,
@@ -26,6 +25,7 @@ from cpam_bayes.forward_model.preconditions import (
     misfit_over_noise,
     misfit_slips,
     noise_slips,
+    reference_contradictions,
     reference_slips,
     require_choice,
     require_seed,
@@ -463,13 +463,15 @@ def _slips(
 ) -> tuple[Notice, ...]:
     """Likely slips that ruin the posterior; excess : of the misfit, is_named : whether it names a slip."""
     determined = {
-        c.name: (c.value, c.sd) for c in constants.values() if c.verdict in (Verdict.DATA, Verdict.MISFIT)
+        c.name: (c.value, c.sd)
+        for c in constants.values()
+        if c.verdict in (Verdict.DATA, Verdict.BOTH, Verdict.MISFIT)
     }
     return (
         *stated_slips(specimen),
         *count_slips(measurement.size, len(constants)),
         *excess,
-        *(() if is_named else common_factor_slips(specimen, determined)),
+        *(() if is_named else reference_contradictions(specimen, determined, constants.values())),
         *reference_slips(specimen),
     )
 
@@ -545,9 +547,10 @@ def _constant(
         interval=(marginal.q025, marginal.q975),
         prior=parameter.prior,
         reference=_reference(specimen, name),
-        verdict=verdict_of(marginal.sd, parameter.unmeasured_sd, at_bound=at_bound, explained=explained)
+        verdict=verdict_of(marginal.sd, parameter.prior.sd, at_bound=at_bound, explained=explained)
         if converged
         else Verdict.UNCONVERGED,
+        has_former_plate=parameter.coupled is not None,
     )
 
 

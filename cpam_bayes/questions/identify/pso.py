@@ -16,13 +16,13 @@ from cpam_bayes.formatting import signed, significant
 from cpam_bayes.forward_model.labels import labelled_model
 from cpam_bayes.forward_model.model import air_shifts, with_references
 from cpam_bayes.forward_model.preconditions import (
-    common_factor_slips,
     count_slips,
     exchange_notices,
     explained_failures,
     high_noise_notices,
     misfit_slips,
     noise_slips,
+    reference_contradictions,
     reference_slips,
     require_choice,
     require_paired_list,
@@ -331,7 +331,7 @@ def identify(
     slips = (
         *stated_slips(specimen),
         *count_slips(n, k),
-        *(() if explained_by else common_factor_slips(specimen, determined)),
+        *(() if explained_by else reference_contradictions(specimen, determined, estimate.constants)),
         *excess,
         *reference_slips(specimen),
     )

@@ -368,9 +368,7 @@ def _constants(effort: Effort, task: Task) -> Results:
     specimen = case_specimen(task.specimen, task.case)
     best = estimate_constants(specimen, task.seed, swarms=MOST_SWARMS, settings=effort.swarm)
     seeds = range(task.seed, task.seed + effort.swarms)
-    singles = [
-        search(specimen, seed, settings=effort.swarm, centre=best.centre).swarm for seed in seeds
-    ]
+    singles = [search(specimen, seed, settings=effort.swarm, centre=best.centre).swarm for seed in seeds]
     least = best.swarm.value
     found = [single.value <= (1.0 + _SAME_OPTIMUM) * least for single in singles]
     posterior = None
