@@ -121,6 +121,20 @@ def test_scores_and_back(prior):
     assert prior.from_normal(0.3).shape == ()
 
 
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+def test_a_normal_prior_reaches_to_its_bounds_thirty_standard_deviations_away(mirror):
+    """Between bounds that far out the score is the distance from the centre in standard deviations."""
+    ends = sorted((mirror * (5.0 - 34.0 * 0.25), mirror * (5.0 + 36.0 * 0.25)))
+    prior = TruncatedNormal(mirror * 5.0, 0.25, *ends)
+    z = np.linspace(-30.0, 30.0, 61)
+    np.testing.assert_allclose(prior.from_normal(z), mirror * 5.0 + 0.25 * z, atol=1e-12)
+    np.testing.assert_allclose(prior.to_normal(mirror * 5.0 + 0.25 * z), z, atol=1e-10)
+    assert prior.reach > 36.0
+    logarithmic = TruncatedLogNormal(1.0, 0.1, np.exp(-3.2), np.exp(3.2))
+    np.testing.assert_allclose(logarithmic.to_normal(np.exp(0.1 * z)), z, atol=1e-10)
+    assert logarithmic.reach == prior.reach
+
+
 @every_prior
 def test_quantiles_are_inverse_and_parts_make_the_density_whose_fractions_sum_to_one(prior):
     p = np.linspace(0.01, 0.99, 15)

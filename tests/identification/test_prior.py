@@ -132,3 +132,74 @@ def test_a_prior_that_counts_is_called_by_where_it_is_from() -> None:
     assert determined_text(c) == "partly: the data sheet's 69 +- 2 GPa counts"
     assert determined_text(replace(c, reference=71e9)) == "partly: prior 69 +- 2 GPa counts"
     assert determined_text(replace(c, verdict=Verdict.PRIOR, reference=71e9)) == "not determined"
+
+
+def of_another_material(**changes: float) -> dict[str, object]:
+    """The panel's geometry, E1 of 55 GPa, and the data sheet of a stiffer material."""
+    own = cb.read_plate(PANEL)
+    truth = {"E1_GPa": 55.0, "E2_GPa": 9.4, "nu12": 0.3, "G12_GPa": 4.7}
+    sheet = {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8, **changes}
+    plate = {
+        "length_mm": 310.0,
+        "width_mm": 228.0,
+        "thickness_mm": 3.1,
+        "mass_g": 340.7,
+        "layup": "[0_8]",
+        "edges": "FFFF",
+    }
+    described: dict[str, object] = {
+        "name": "of another material",
+        "plate": plate,
+        "material": truth,
+        "unknowns": {
+            "E1_GPa": [30.0, 200.0],
+            "E2_GPa": [3.0, 20.0],
+            "nu12": [0.1, 0.49],
+            "G12_GPa": [1.5, 10],
+        },
+    }
+    assert own.plate.length == pytest.approx(0.31)
+    frequencies = cb.forward(described, 10).frequencies
+    noise = 1.0 + 0.002 * np.random.default_rng(0).standard_normal(10)
+    return {
+        **described,
+        "material": {**sheet, "sd": {"E1_GPa": 9.0, "E2_GPa": 0.6, "nu12": 0.02, "G12_GPa": 0.3}},
+        "measurement": {"frequencies_hz": np.round(frequencies * noise, 2).tolist(), "relative_std": 0.002},
+    }
+
+
+@pytest.mark.slow
+def test_a_data_sheet_of_another_material_cuts_no_interval_and_is_named() -> None:
+    """It lies eight standard deviations away: the density of `identify` is that of emcee there too."""
+    file = of_another_material()
+    found, sampled = cb.identify(file, seed=0), cb.sample(file, seed=0)
+    for name in ("E1", "E2", "G12"):
+        a, b = found.constants[name], sampled.constants[name]
+        assert abs(a.value - b.value) < 0.5 * b.sd, name
+        assert a.sd == pytest.approx(b.sd, rel=0.25), name
+    low, high = found.constants["E1"].interval or (np.nan, np.nan)
+    assert 50e9 < low < high < 62e9
+    for answer in (found, sampled):
+        (notice,) = (n for n in answer.notices if n.code == "far_reference")
+        assert [name for name, _ in notice.facts["distances"]] == ["E1"]
+        assert -10.0 < notice.facts["distances"][0][1] < -7.0
+        assert "E1 lies" in answer.summary()
+
+
+@pytest.mark.slow
+def test_where_the_prior_leaves_a_misfit_nothing_is_determined() -> None:
+    """A data sheet known to 0.4 % holds E1 away from the list."""
+    file = of_another_material(E1_GPa=60.0)
+    material = file["material"]
+    assert isinstance(material, dict)
+    held = {**file, "material": {**material, "sd": {**material["sd"], "E1_GPa": 0.2}}}
+    sizes = {"length_mm": 0.0, "width_mm": 0.0, "thickness_mm": 0.0, "mass_g": 0.0}
+    plate = file["plate"]
+    assert isinstance(plate, dict)
+    answer = cb.identify({**held, "plate": {**plate, "sd": sizes}}, seed=0)
+    assert "misfit_over_noise" in {n.code for n in answer.notices}
+    assert not any(c.is_determined for c in answer.constants.values())
+    # with a spread that allows for it the list is explained
+    free = cb.identify({**file, "plate": {**plate, "sd": sizes}}, seed=0)
+    assert free.constants["E1"].is_determined
+    assert not {"misfit_over_noise", "far_reference"} & {n.code for n in free.notices}

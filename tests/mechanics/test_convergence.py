@@ -7,6 +7,8 @@ import pytest
 
 from cpam_bayes.forward_model.model import (
     PlateModel,
+    angle_parameters,
+    constant_parameters,
     converged_model,
     convergence_samples,
     discretisation_error,
@@ -25,7 +27,7 @@ from cpam_bayes.mechanics.dense import discretise_at
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import Problem, Values
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
-from cpam_bayes.plate import read_specimen
+from cpam_bayes.plate import read_plate, read_specimen
 from tests.plates import ANGLE_PLY_16S, CARBON, CROSS_PLY_16S, GLASS, plate
 
 # The least that an estimate is asked to tell: frequencies are printed with five or six digits.
@@ -188,3 +190,36 @@ def test_convergence_is_the_same_on_every_run() -> None:
     np.testing.assert_array_equal(again.error, c1().error)
     x = 0.5 * (c1().parameters.lower + c1().parameters.upper)
     np.testing.assert_array_equal(again.predict(x).frequencies, c1().predict(x).frequencies)
+
+
+def test_rounding_of_a_very_thin_plate_is_no_slip_of_its_thickness() -> None:
+    """A coarser space may not tell its rigid-body motions from bending: it is not taken."""
+    one = read_plate(
+        {
+            "name": "one unknown angle",
+            "plate": {
+                "length_mm": 310.0,
+                "width_mm": 228.0,
+                "thickness_mm": 1.0,
+                "density_kg_m3": 1590.0,
+                "layup": "[?_8]",
+                "edges": "FFFF",
+            },
+            "material": {
+                "E1_GPa": 132.0,
+                "E2_GPa": 9.1,
+                "nu12": 0.31,
+                "G12_GPa": 4.8,
+                "sd": {"E1_GPa": 9.0, "E2_GPa": 0.6, "nu12": 0.02, "G12_GPa": 0.3},
+            },
+            "unknowns": {
+                "E1_GPa": [30.0, 200.0],
+                "E2_GPa": [3.0, 20.0],
+                "nu12": [0.1, 0.49],
+                "G12_GPa": [1.5, 10.0],
+                "angle_grid_deg": 90,
+            },
+        }
+    )
+    parameters = angle_parameters(one).union(constant_parameters(one))
+    assert converged_model(one, parameters, 10).error.max() < 2e-4

@@ -73,6 +73,20 @@ def test_a_thickness_widens_a_thin_plate_in_proportion(modulus_only, sd, of_size
     assert mode.sd / mode.mean == pytest.approx(expected, rel=0.1)  # 800 draws know a spread to 2.5 %
 
 
+@pytest.mark.parametrize(
+    ("sd", "said"),
+    [
+        (EXACT, "contain the constants; sizes and mass are exact."),
+        ({}, "contain the constants, thickness, length, width and density."),
+        ({**EXACT, "thickness_mm": 0.03}, "contain the constants and thickness."),
+    ],
+)
+def test_intervals_are_said_to_contain_the_sizes_that_vary_in_them(modulus_only, sd, said: str) -> None:
+    path, _ = modulus_only
+    lines = " ".join(cb.predict(path, cantilever(sd), 1).report().summary.lines)
+    assert said in lines
+
+
 @pytest.fixture(scope="module")
 def sampled() -> SampledResult:
     """The posterior of a plate with a list that its model computes exactly, its thickness not known well."""

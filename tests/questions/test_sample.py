@@ -25,6 +25,7 @@ from cpam_bayes.questions.forward import forward
 from cpam_bayes.questions.identify import SampledResult, sample
 from cpam_bayes.questions.identify.posterior import product_text
 from cpam_bayes.render.report import json_text
+from cpam_bayes.render.sentences import determined_text
 from cpam_bayes.render.terminal import plain_text
 from tests.answers import CHAINS as SETTINGS
 from tests.batches.plates import N_MODES, plate, written
@@ -408,8 +409,13 @@ def test_the_posterior_of_a_former_plate_as_prior_gives_what_both_lists_give_tog
             # draws of the former posterior, 600 effective ones or more, and the normal form of its prior
             assert answer[name].value == pytest.approx(expected.value, abs=0.15 * expected.sd), name
             assert answer[name].sd == pytest.approx(expected.sd, rel=0.1), name
-            # what the former plate measured counts as measured, what it took from a reference does not
+            # this list tells the moduli ten times as well as the former plate did, and nothing of nu12
             assert (answer[name].verdict is Verdict.DATA) == (name != "nu12"), name
+            assert determined_text(answer["nu12"]) == "not determined: the former plate decides"
+    vague = copy.deepcopy(second)
+    vague["measurement"]["relative_std"] = 0.2
+    for constant in cb.identify(vague, seed=0).constants.values():
+        assert determined_text(constant) == "not determined: the former plate decides"
     independent = tuple(replace(p, coupled=None) for p in after.unknowns.parameters)
     without = replace(after, unknowns=ParameterSet(independent))
     wider = cb.identify(without, seed=0, residuals="whitened").constants["E2"].sd

@@ -139,6 +139,20 @@ def test_a_list_that_lacks_a_mode_is_paired() -> None:
     assert notices(stray, mixture())["frequencies_without_mode"]["alone"] == 1
 
 
+def test_of_a_list_that_no_sequence_explains_the_next_step_is_a_check() -> None:
+    own = specimen()
+    assert own.measurement is not None
+    off = own.measurement.frequencies * (1.0 + 0.03 * np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0]))
+    measured = replace(own.measurement, frequencies=np.sort(off), relative_std=2e-3)
+    settings = StackingSettings(draws=30, listed=12, log2_points=6)
+    found = stacking_posterior(replace(own, measurement=measured), 0, settings=settings)
+    wrong, right = (stacking_result(each, mixture(), None, 0, 5) for each in (found, answer()))
+    (slip,) = (notice for notice in wrong.notices if notice.code == "no_sequence_explains")
+    assert slip.severity == "slip"
+    assert wrong.report().summary.next_step.startswith("check the edges")
+    assert "check the edges" not in right.report().summary.next_step
+
+
 def test_what_failed_disagrees_was_learned_badly_or_overlooked_is_warned_of() -> None:
     mixed = mixture()
     own = replace(answer(), log_evidence_error=np.zeros(len(answer().top)))
