@@ -101,8 +101,9 @@ class Hypothesis:
 
     @property
     def is_gross(self) -> bool:
-        """Whether it is a transcription error."""
-        return "gross" in self.variant or self.other_material
+        """Whether it is a transcription error: a frequency in another's place, or another material."""
+        in_anothers_place = bool(self.listed.missed) and self.listed.spurious is not None
+        return in_anothers_place or self.other_material
 
     @property
     def is_of_one_test(self) -> bool:
