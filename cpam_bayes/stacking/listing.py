@@ -42,7 +42,7 @@ INNER = 3
 # from the one with this number for its rank.
 _UNSEEN = 1.0
 # Width of a bin of log evidence, nats, and number of bins.
-BIN, BINS = 0.01, 4000
+BIN, BINS = 0.002, 20_000
 # Log evidence above the reference at which the bins begin, nats.
 BINS_BEGIN = 5.0
 # Fraction of the mass that the classes to sample must hold; where they hold less, twice as many as are listed
