@@ -28,6 +28,7 @@ from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import Problem, Values
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.plate import read_plate, read_specimen
+from tests.plate_file import described
 from tests.plates import ANGLE_PLY_16S, CARBON, CROSS_PLY_16S, GLASS, plate
 
 # The least that an estimate is asked to tell: frequencies are printed with five or six digits.
@@ -194,32 +195,20 @@ def test_convergence_is_the_same_on_every_run() -> None:
 
 def test_rounding_of_a_very_thin_plate_is_no_slip_of_its_thickness() -> None:
     """A coarser space may not tell its rigid-body motions from bending: it is not taken."""
-    one = read_plate(
-        {
-            "name": "one unknown angle",
-            "plate": {
-                "length_mm": 310.0,
-                "width_mm": 228.0,
-                "thickness_mm": 1.0,
-                "density_kg_m3": 1590.0,
-                "layup": "[?_8]",
-                "edges": "FFFF",
-            },
-            "material": {
-                "E1_GPa": 132.0,
-                "E2_GPa": 9.1,
-                "nu12": 0.31,
-                "G12_GPa": 4.8,
-                "sd": {"E1_GPa": 9.0, "E2_GPa": 0.6, "nu12": 0.02, "G12_GPa": 0.3},
-            },
-            "unknowns": {
-                "E1_GPa": [30.0, 200.0],
-                "E2_GPa": [3.0, 20.0],
-                "nu12": [0.1, 0.49],
-                "G12_GPa": [1.5, 10.0],
-                "angle_grid_deg": 90,
-            },
-        }
-    )
+    material = {
+        "E1_GPa": 132.0,
+        "E2_GPa": 9.1,
+        "nu12": 0.31,
+        "G12_GPa": 4.8,
+        "sd": {"E1_GPa": 9.0, "E2_GPa": 0.6, "nu12": 0.02, "G12_GPa": 0.3},
+    }
+    unknowns = {
+        "E1_GPa": [30.0, 200.0],
+        "E2_GPa": [3.0, 20.0],
+        "nu12": [0.1, 0.49],
+        "G12_GPa": [1.5, 10.0],
+        "angle_grid_deg": 90,
+    }
+    one = read_plate(described((310.0, 228.0, 1.0), 1590.0, material, layup="[?_8]", unknowns=unknowns))
     parameters = angle_parameters(one).union(constant_parameters(one))
     assert converged_model(one, parameters, 10).error.max() < 2e-4
