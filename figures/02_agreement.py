@@ -9,7 +9,19 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from journal import BAND, BLUE, DARK, DOUBLE_MM, ORANGE, Drawing, Picture, bare, figure, subscripts
+from journal import (
+    BAND,
+    BLUE,
+    DARK,
+    DOUBLE_MM,
+    ORANGE,
+    Drawing,
+    Picture,
+    bare,
+    figure,
+    listed,
+    subscripts,
+)
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
@@ -22,10 +34,13 @@ def pictures(found: dict[str, Any]) -> list[Picture]:
     limit = found["limit_percent"]
     plates = [*found["specimens"], *found["unsymmetric"]]
     bricks = {abs(r["bricks"]["worst_percent"]): _plate(r) for r in plates if r["bricks"]}
+    without = [row["plate"] for row in plates if not row["bricks"]]
+    not_run = f"; they were not run on {listed(without)}" if without else ""
     elements = max(abs(row["worst_percent"]) for row in plates)
     combinations = [row for plate in found["edges"] for row in plate["rows"]]
     worst = max(combinations, key=lambda row: abs(row["worst_percent"]))
     failed = sum(not row["passes"] for row in combinations)
+    boxed = " (boxed)" if failed else ""
     drawn = [
         Picture(
             "02_agreement",
@@ -35,7 +50,7 @@ def pictures(found: dict[str, Any]) -> list[Picture]:
             f"{elements:.3f} % of the Ritz model on all {len(plates)} plates (grey: {limit:g} %, the limit). "
             + (
                 f"CalculiX bricks, which show the error of the theory itself, are up to {max(bricks):.2f} % "
-                f"apart, on {bricks[max(bricks)]}."
+                f"apart, on {bricks[max(bricks)]}{not_run}."
                 if bricks
                 else "No bricks were computed."
             ),
@@ -48,9 +63,9 @@ def pictures(found: dict[str, Any]) -> list[Picture]:
                 _all_edges(found["edges"], limit),
                 "Finite elements against the Ritz model for all combinations of edge conditions.",
                 "Magnitude of the relative difference of the worst mode, %, by the conditions of opposite "
-                f"edges: F free, S simply supported, C clamped. Of {len(combinations)} combinations "
-                f"{failed} are beyond the limit of {limit:g} % (boxed); the largest difference is "
-                f"{abs(worst['worst_percent']):.3f} %.",
+                f"edges: F free, S simply supported, C clamped. Of {len(combinations)} combinations, some "
+                f"shown twice, {failed} are beyond the limit of {limit:g} %{boxed}; the largest difference "
+                f"is {abs(worst['worst_percent']):.3f} %.",
             )
         )
     return drawn

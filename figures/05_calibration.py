@@ -41,19 +41,24 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
         for c in p["coverage"]
     ]
     within = sum(difference <= allowed for difference, allowed in coverage)
+    lie_whole = [
+        plate["histogram_band"]["lower"][0] <= min(p["counts"])
+        and max(p["counts"]) <= plate["histogram_band"]["upper"][0]
+        for plate in plates
+        for p in plate["parameters"]
+    ]
     return [
         Picture(
             "05_calibration",
             _all(data),
             f"Simulation-based calibration of the posteriors of {listed([p['plate'] for p in plates])}.",
-            "True values are drawn from the prior and lists simulated from them: "
-            f"{listed([str(p['repetitions']) for p in plates])} repetitions. Histograms: rank of the true "
-            f"value among {data['draws']} posterior draws; between the broken lines "
-            f"{100 * data['band_probability']:g} % of histograms of uniform ranks lie whole. Below: the "
-            "ranks' distribution less the uniform one with its band, and coverage of central intervals less "
-            "their level with two standard errors. The smallest p of the tests of uniformity, corrected for "
-            f"the number of parameters, is {smallest:.2f}; {within} of {len(coverage)} coverages are within "
-            "two standard errors of their level.",
+            f"{listed([str(p['repetitions']) for p in plates])} simulated lists. Histograms: rank of the "
+            f"true value among {data['draws']} posterior draws; {100 * data['band_probability']:g} % of "
+            f"histograms of uniform ranks lie whole between the broken lines, {sum(lie_whole)} of these "
+            f"{len(lie_whole)} do. Below: the ranks' distribution less the uniform one with its band, and "
+            "coverage of central intervals less their level with two standard errors. The smallest p of the "
+            f"tests of uniformity, corrected for the number of parameters, is {smallest:.2f}; {within} of "
+            f"{len(coverage)} coverages are within two standard errors of their level.",
         )
     ]
 

@@ -30,7 +30,7 @@ def pictures(found: dict[str, Any]) -> list[Picture]:
             "One panel a case; rows: unknown angles from the bottom of the laminate; darker: more "
             "probable, on a scale of its own in each panel. Circles: most probable stacking sequence; "
             "crosses: the one printed in Table 9(b), or that of the plate where none is printed. The most "
-            f"probable stacking sequence is the printed one in {likely} of {printed} cases.",
+            f"probable stacking sequence is the printed one in {likely} of the {printed} printed cases.",
         ),
         Picture(
             "08_sequences_counted",

@@ -31,8 +31,8 @@ def pictures(found: dict[str, Any]) -> list[Picture]:
         Picture(
             "11_effects",
             _all(found),
-            "Relative shift of each mode by every cause.",
-            "A title names cause, size and plate; bars are modes by their labels. Grey: shift; orange: what "
+            "Relative shift of each mode by every cause that has a size or is an error of the list.",
+            "A title names cause, size and plate; bars are modes in order. Grey: shift; orange: what "
             f"the constants cannot absorb, priors aside.{said}",
         )
     ]
@@ -48,22 +48,24 @@ def _all(found: dict[str, Any]) -> Figure:
     new = figure(DOUBLE_MM, 12 + 27 * rows)
     grid = new.subplots(rows, COLUMNS, squeeze=False).ravel()
     for axes, effect in zip(grid, effects, strict=False):
-        _panel(axes, effect, found["plates"][effect["plate"]]["labels"])
+        _panel(axes, effect)
     for axes in grid[len(effects) :]:
         axes.set_axis_off()
     handles, labels = grid[0].get_legend_handles_labels()
     new.legend(handles, labels, loc="outside lower center", ncols=2)
+    for axes in grid[max(len(effects) - COLUMNS, 0) : len(effects)]:
+        axes.set_xlabel("mode")
     new.supylabel("relative shift of the frequency, %", fontsize=7.5)
     return new
 
 
-def _panel(axes: Axes, effect: dict[str, Any], labels: list[str]) -> None:
+def _panel(axes: Axes, effect: dict[str, Any]) -> None:
     shift, left = (np.array(effect[key]) for key in ("shift_percent", "projected_percent"))
-    x = np.arange(len(shift))
+    x = np.arange(1, len(shift) + 1)
     axes.bar(x - 0.2, shift, 0.38, color=LIGHT, label="shift")
     axes.bar(x + 0.2, left, 0.38, color=ORANGE, label="not absorbed by the constants")
     axes.axhline(0.0, color="0.4", linewidth=0.7)
-    axes.set_xticks(x, [_short(label) for label in labels[: len(x)]])
+    axes.set_xticks(x)
     axes.tick_params(axis="x", length=0)
     axes.locator_params(axis="y", nbins=4)
     axes.margins(y=0.12)
@@ -74,12 +76,6 @@ def _size(effect: dict[str, Any]) -> str:
     if effect["unit"] == "mode":
         return f"mode {effect['size']:g} missed"
     return f"{effect['size']:.3g} {effect['unit']}".strip()
-
-
-def _short(label: str) -> str:
-    """A label in the space of a bar: its numbers one below the other, of a combination the first."""
-    first, *others = label.split("+")
-    return first.strip().strip("()").replace(",", "\n") + ("+" if others else "")
 
 
 draw = Drawing(__file__, "11_effects", "no random numbers", pictures)

@@ -14,6 +14,7 @@ from matplotlib.patches import Patch
 
 COLOURS = {"none": SKY, "other": GREY}
 LEADING, REST = (ORANGE, "#E9A36A", "#F6D9BF"), "#EFEFEF"
+HATCH: dict[str, Any] = {"hatch": "////", "edgecolor": "white", "linewidth": 0.0}
 # Width of a letter on the axis of probabilities.
 LETTER = 0.0115
 
@@ -26,8 +27,8 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             _all(groups),
             "The plates, diagnosed.",
             "Left: posterior probabilities. Right: rms residual of the plain model, and an arrow to that of "
-            "the extended model where a cause is claimed. Causes count with and without a remainder that "
-            "no cause explains; one that leaves more than half the misfit is not claimed by itself.",
+            "the extended model where a cause is claimed. Hatched: a cause that leaves more than half of the "
+            "misfit counts for what no known error explains.",
         )
     ]
 
@@ -43,7 +44,7 @@ def _all(groups: list[dict[str, Any]]) -> Figure:
     bars.set(xlim=(0.0, 1.0), xlabel="probability")
     fits.set_xscale("log")
     fits.set_xlim(0.1, 100.0)
-    fits.set_xticks((0.1, 1.0, 10.0, 100.0), ("0.1", "1", "10", "100"))
+    fits.set_xticks((1.0, 10.0, 100.0), ("1", "10", "100"))
     fits.minorticks_off()
     fits.set_xlabel("rms residual, %")
     fits.grid(axis="x")
@@ -73,7 +74,9 @@ def _bar(axes: Axes, row: int, group: dict[str, Any]) -> None:
     pieces += [(c, by_cause[c]["probability"], LEADING[i]) for i, c in enumerate(causes[: len(LEADING)])]
     left = 0.0
     for cause, probability, colour in pieces:
-        axes.barh(row, probability, left=left, color=colour, height=0.75)
+        explains_little = group["claim"] == "other" and cause not in COLOURS
+        hatch = HATCH if explains_little else {}
+        axes.barh(row, probability, left=left, color=colour, height=0.75, **hatch)
         if probability >= LETTER * len(cause) and cause not in COLOURS:
             axes.text(left + 0.5 * probability, row, cause, ha="center", va="center", fontsize=7)
         left += probability

@@ -39,8 +39,8 @@ def _picture(name: str, answers: dict[str, Any], beside: dict[str, Any], lists: 
         for key in ("lists", "claimed and right", "claimed and wrong")
     )
     compared = (
-        ", beside simple methods with thresholds for its rate of wrong claims on development lists "
-        f"({beside['lists']} lists that all answered)"
+        f", on the {beside['lists']} lists that all methods answered; thresholds of the simple ones give its "
+        "rate of wrong claims on development lists"
         if len(beside["engines"]) > 1
         else ""
     )
@@ -48,9 +48,9 @@ def _picture(name: str, answers: dict[str, Any], beside: dict[str, Any], lists: 
         f"{STUDY}_{name}",
         _panels(answers, beside["engines"]),
         f"What is claimed of lists with hidden causes, {name} set.",
-        "Lists of independent elements and of bricks, each of a plate of its own. Above: the diagnosis by "
-        f"what is hidden. Below: single causes by signal to noise{compared}. Number of lists in brackets. "
-        f"Of {total} of {lists} lists answered the diagnosis claims {right} rightly and {wrong} wrongly.",
+        "Lists of finite elements and of bricks, a plate each, their number in brackets. Above: the "
+        f"diagnosis of {total} of {lists} lists by what is hidden; it claims {right} rightly and {wrong} "
+        f"wrongly. Below: single causes by signal to noise{compared}.",
     )
 
 

@@ -31,9 +31,9 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             _panels(cases),
             "First-order shear deformation theory against three dimensions, and the rule for the difference.",
             f"Ritz model less bricks on {len(cases)} plates. Left: every mode over the thickness. Right: rms "
-            "over the modes of a plate against the rule's standard deviation, filled less the rule's bias, "
-            f"open with it; grey: up to twice that, which holds for {within} of {len(cases)} plates; the "
-            "rule was fitted to these.",
+            "over the modes of a plate against the rule's standard deviation, open as computed, filled with "
+            f"the rule's bias removed; grey: up to twice that, which holds for {within} of {len(cases)} "
+            "plates; the rule was fitted to these.",
         )
     ]
 
@@ -60,7 +60,7 @@ def _panels(cases: list[dict[str, Any]]) -> Figure:
     rule.fill_between(ends, 1e-4, ends * 2, color=BAND, lw=0, zorder=0)
     rule.set(
         xlabel="standard deviation by the rule, rms over modes, %",
-        ylabel="difference after the bias, rms over modes, %",
+        ylabel="Ritz model less bricks, rms over modes, %",
         xscale="log",
         yscale="log",
         ylim=(0.002, 2.0),

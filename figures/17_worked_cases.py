@@ -15,6 +15,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from cpam_bayes.questions.diagnose.document import probability_text
+
 MOST_CAUSES, CASES_A_FIGURE = 5, 6
 LABELS = {
     LIGHT: "residual of the plain model; other hypotheses",
@@ -30,7 +32,8 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
         "Two panels a plate. Left: residual of each mode by the plain model and, where something is claimed, "
         "by the extended model; the title says what is wrong. Right: posterior probability of the "
         f"{MOST_CAUSES} most probable hypotheses and of the true one; the title says the claim, its "
-        f"probability and whether it is right. Claims on all {len(cases)} plates: {verdicts}."
+        "probability and whether it is right. A residual that all modes of a clamped plate share is the "
+        f"error of the theory, which is allowed for. Claims on all {len(cases)} plates: {verdicts}."
     )
     parts = [cases[i : i + CASES_A_FIGURE] for i in range(0, len(cases), CASES_A_FIGURE)]
     return [
@@ -85,7 +88,7 @@ def _probabilities(axes: Axes, case: dict[str, Any]) -> None:
     if case["claim"] == "undecided":
         title = f"undecided; most probable: {', '.join(case['causes'])}"
     else:
-        title = f"claim: {claim}, {case['probability']:.2f}: {case['verdict']}"
+        title = f"claim: {claim}, {probability_text(case['probability'])}: {case['verdict']}"
     axes.set_title(textwrap.fill(title, 44), loc="left", fontsize=7.5)
 
 

@@ -27,15 +27,17 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
     rows = [row for row in document["rows"] if row["difference_percent"] is not None]
     table_5 = [row for row in rows if row["table"] == 5]
     misfits = [m for m in document["audit"]["misfits"] if m["source"].startswith("CPAM")]
-    verdicts = ", ".join(f"{sum(_verdict(r) == kind for r in rows)} {kind}" for kind in MARKS)
+    found = {kind: sum(_verdict(r) == kind for r in rows) for kind in MARKS}
+    verdicts = ", ".join(f"{kind} {number}" for kind, number in found.items() if number)
     layups = sum(isinstance(row["ours"], list) for row in document["rows"])
     drawn = [
         Picture(
             "19_paper",
             _differences(rows),
             "Printed values of the paper over those computed here, by table.",
-            f"{len(rows)} printed numbers: {verdicts}; {layups} stacking sequences have a verdict too, "
-            "but no difference in per cent. The axis is linear within 1 % and logarithmic beyond.",
+            f"Verdicts on {len(rows)} printed numbers: {verdicts}; {layups} stacking sequences have a "
+            "verdict too, but no difference in per cent. The axis is linear within 1 % and logarithmic "
+            "beyond.",
         )
     ]
     if table_5:
@@ -82,7 +84,8 @@ def _differences(rows: list[dict[str, Any]]) -> Figure:
         # spread about the table's place, so that rows do not hide each other
         places = [tables.index(row["table"]) + 0.35 * np.sin(7.0 * i) for i, row in enumerate(of_kind)]
         values = [row["difference_percent"] for row in of_kind]
-        axes.plot(places, values, marker, ms=3, mew=0, alpha=0.75, color=colour, label=kind)
+        label = kind if of_kind else None
+        axes.plot(places, values, marker, ms=3, mew=0, alpha=0.75, color=colour, label=label)
     axes.set_yscale("symlog", linthresh=1.0)
     ticks = (-100, -10, -1, 0, 1, 10, 100)
     axes.set_yticks(ticks, [f"{t:+d}" if t else "0" for t in ticks])
@@ -107,8 +110,7 @@ def _frequencies(rows: list[dict[str, Any]]) -> Figure:
         for k, row in enumerate(of_plate):
             if _readable(row):
                 place = i + 0.8 * (k + 0.5) / len(of_plate) - 0.4
-                colour = BLUE if i % 2 else ORANGE
-                axes.bar(place, row["difference_percent"], 0.7 / len(of_plate), color=colour)
+                axes.bar(place, row["difference_percent"], 0.7 / len(of_plate), color=BLUE)
     axes.axhline(0.0, color="0.4", linewidth=0.7)
     axes.grid(axis="y")
     axes.set_xticks(range(len(plates)), plates)

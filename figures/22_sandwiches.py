@@ -24,7 +24,7 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             "22_sandwiches",
             _panels(cases),
             "First-order theory of sandwiches against three dimensions, by the softness of the core.",
-            "How much too low the frequencies of the Ritz model are against bricks of 20 nodes: "
+            "How much too low the frequencies of the Ritz model are against 20-node bricks: "
             f"{n_modes} modes of {len(cases)} sandwiches with faces of 0.05, 0.1 and 0.2 of the thickness. "
             "Left: by Young's modulus of the faces over the shear modulus of the core. Right: against what "
             "is expected of faces that bend by themselves; grey: within a factor of two. Dashed: the limit "

@@ -31,6 +31,8 @@ STYLES = {
 SIZES = ("modes", "parameters", "plies", "causes", "plates", "stacking sequences")
 # Letters of 7 points in a panel of this height.
 _LINE = 0.085
+# Points of a curve whose exponent is shown: a line through two is no fit.
+_FITTED = 3
 
 
 def pictures(data: dict[str, Any]) -> list[Picture]:
@@ -40,7 +42,7 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             "23_growth",
             _panels(curves),
             "Cost of answers against modes, parameters, plies, causes, plates and stacking sequences.",
-            "Processor's seconds of one process that has no model at hand, of a free cross-ply; of a solve, "
+            "CPU time of one process without a cached model, of a free cross-ply; of a solve, "
             "those of one parameter set. Stacking sequences: seconds of two cores. At the right of a panel: "
             "the exponents p of cost ~ size^p, by least squares, in the order in which the curves end.",
         )
@@ -87,12 +89,11 @@ def _apart(ticks: Sequence[int]) -> list[int]:
 
 def _exponents(ax: Axes, curves: Sequence[dict[str, Any]]) -> None:
     """At the right of a panel, as high as the curves end or as near as there is room."""
-    if not curves:
-        return
     low, high = np.log(ax.get_ylim())
     ends = sorted(
         ((np.log(c["points"][-1]["seconds"]) - low) / (high - low), c["exponent"], c["question"])
         for c in curves
+        if len(c["points"]) >= _FITTED
     )
     # pushed up by the one below, and all down again as far as the panel is too short
     heights: list[float] = []
@@ -103,7 +104,7 @@ def _exponents(ax: Axes, curves: Sequence[dict[str, Any]]) -> None:
         heights[i] = min(heights[i], top)
     for height, (_, exponent, question) in zip(heights, ends, strict=True):
         place = {"xy": (1.02, height), "xycoords": "axes fraction"}
-        ax.annotate(f"{exponent:.2f}", **place, va="center", color=STYLES[question][0], fontsize=7)
+        ax.annotate(f"{exponent:z.2f}", **place, va="center", color=STYLES[question][0], fontsize=7)
 
 
 draw = Drawing(__file__, "23_growth", "seed 0", pictures)

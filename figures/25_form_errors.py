@@ -23,9 +23,9 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             "What the catalogue's forms of causes miss of real ones.",
             "Rms over ten modes of what is left of the shift by a real form after the catalogue's effect was "
             f"fitted to it, over the rms of the shift: {len(data['cases'])} forms, sizes and places on "
-            f"{plates} plates. Grey: each of them; blue: their rms, the form error of the catalogue; orange: "
-            f"their rms where the constants are free to imitate. From {least['rms']:.2f} ({least['cause']}) "
-            f"to {most['rms']:.2f} ({most['cause']}).",
+            f"{plates} plates. Grey: each of them; blue: their rms, in the catalogue but for tapers and "
+            f"warp; orange: their rms where the constants are free to imitate. From {least['rms']:.2f} "
+            f"({least['cause']}) to {most['rms']:.2f} ({most['cause']}).",
         )
     ]
 
@@ -43,7 +43,7 @@ def _rows(effects: list[dict[str, Any]], cases: list[dict[str, Any]]) -> Figure:
     ):
         axes.plot([row[key] for row in effects], places, marker, color=colour, ls="", label=label)
     axes.set_yticks(places, [row["cause"] for row in effects])
-    axes.set(xlim=(0.0, 1.02), ylim=(-0.6, len(effects) - 0.4), xlabel="missed, of the shift")
+    axes.set(xlim=(0.0, 1.02), ylim=(-0.6, len(effects) - 0.4), xlabel="missed fraction of the shift")
     new.legend(loc="outside lower center", ncols=2)
     return new
 

@@ -22,7 +22,7 @@ COLOURS = {
 SLIPS = {
     "sides": "length for width",
     "layup": "layup turned by 90 deg",
-    "edges": "edges in the next order",
+    "edges": "neighbouring edge held",
     "supports": "clamped for supported",
     "missed": "a mode missed",
     "false": "a false peak",
@@ -45,7 +45,7 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             _shares(rows),
             "What is named of plate files with a slip.",
             f"{len(slips)} files with one of {len({c['kind'] for c in slips})} slips: it is "
-            f"named in {right}, {unseen} fit within the noise as they are. "
+            f"named in {right}, {unseen} fit within the noise (white). "
             f"{others} files without a slip or with a real cause: a slip is named in {wrong}.",
         )
     ]

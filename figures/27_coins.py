@@ -27,8 +27,8 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             _masses(coins),
             "Coins on plates of independent elements and of bricks, found over sealed.",
             f"95 % intervals of the mass, blue where one is claimed; {inside} of "
-            f"{len(coins)} hold the sealed mass. To the left of 1 a coin is lighter than what the plate's "
-            f"list can show. Of {len(repeats)} repeats without a coin "
+            f"{len(coins)} hold the sealed mass. Left of 1: lighter than the detection limit of the plate's "
+            f"list. Of {len(repeats)} repeats without a coin "
             f"{sum(c['finding'] == CLAIMED for c in repeats)} were "
             "said to have one.",
         )

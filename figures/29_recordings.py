@@ -22,8 +22,8 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             "29_recordings",
             _constants(data["cases"]),
             "Constants of plates identified from recorded hits, over the true ones.",
-            "95 % intervals, a plate each, the widest above; "
-            f"{counts['inside']} of {counts['constants']} do. {counts['paired_right']} of "
+            "95 % intervals, one a plate, the widest on top: "
+            f"{counts['inside']} of {counts['constants']} hold the true value. {counts['paired_right']} of "
             f"{counts['paired']} peaks that were taken for a mode were of it.",
         )
     ]

@@ -370,9 +370,9 @@ def _remarks(cases: Sequence[Results]) -> Iterable[str]:
         ratio = c1["most_probable"]["probability"] / c1["printed"]["probability"]
         yield (
             "**One printed stacking sequence stands for many.** The most probable stacking sequence is the "
-            f"printed one in {likely} of {len(cases)} cases. That of C1 is {ratio:.1f} times as probable as "
-            f"the printed one, and {counted(c1['credible_95_count'])} are needed to hold 95 %. D1's list "
-            f"leaves {100 * d1['credible_95_count'] / d1['enumerated']:.0f} % of the grid."
+            f"printed one in {likely} of {len(cases)} printed cases. That of C1 is {ratio:.1f} times as "
+            f"probable as the printed one, and {counted(c1['credible_95_count'])} are needed to hold 95 %. "
+            f"D1's list leaves {100 * d1['credible_95_count'] / d1['enumerated']:.0f} % of the grid."
         )
     if "D3" in by_name:
         below = by_name["D3"]["printed"]["log_evidence_below_best"]

@@ -77,12 +77,12 @@ def _plate(case: PlateCase) -> dict[str, Any]:
 
 
 def _shifts(plates: dict[str, PlateCase], effect: Effect) -> dict[str, Any]:
-    case = next(c for c in plates.values() if effect in applicable(c.models.facts))
+    plate, case = next((name, c) for name, c in plates.items() if effect in applicable(c.models.facts))
     shift, size, unit = _of_list(case, effect) if effect.pairings else _own(case, effect)
     return {
         "cause": effect.name,
         "family": effect.family,
-        "plate": case.name,
+        "plate": plate,
         "size": size,
         "unit": unit,
         "shift_percent": (100.0 * shift).tolist(),

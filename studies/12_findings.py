@@ -223,7 +223,7 @@ def _published(rows: Sequence[Results]) -> str:
             if not within["q025"] <= float(value) <= within["q975"]:
                 outside.append(f"{name.partition('_')[0]} of {plate} ({value})")
     missed = f", not {listed(outside)}" if outside else ""
-    said = f"Of the constants that were published of them {of - len(outside)} of {of} lie in these intervals"
+    said = f"Of {of} published constants, nu12 among them, {of - len(outside)} lie in their 95 % intervals"
     return paragraph(f"{said}{missed}.")
 
 

@@ -3,7 +3,7 @@
 python studies/16_theory_error.py [--quick] [--only [CASE ...]]
 
 Plates of 240 x 180 mm are solved twice with the same constants: by the Ritz model and by CalculiX on
-bricks of 20 nodes (C3D20R, a layer or more for each run of equal plies). A clamped edge of bricks is a
+20-node bricks (C3D20R, a layer or more for each run of equal plies). A clamped edge of bricks is a
 face that is held over the whole thickness. Bricks are solved on two meshes, the finer with twice as many
 elements in the plane; their frequencies are extrapolated as f_fine - (f_coarse - f_fine) / 3, which is
 right where the error falls with the fourth power of the element's side and too little where it falls

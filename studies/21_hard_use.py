@@ -402,7 +402,7 @@ def sections(results: Results) -> dict[str, str]:
         of = [row for row in results["signals"] if row["signal"] == name]
         signals.append(f"{name} {_seen(of, 'status')}, {_seen(of, 'left')}")
     sent = (
-        f"Each signal to each of {len(commands)} commands, exit status and drafts left: "
+        f"Each signal to each of {len(commands)} commands, exit status and temporary files left: "
         f"{'; '.join(signals)}. "
         f"The next command ended with {_seen(results['signals'], 'next_status')} and left "
         f"{_seen(results['signals'], 'left_after_the_next')}."

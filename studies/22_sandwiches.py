@@ -3,7 +3,7 @@
 python studies/22_sandwiches.py [--quick]
 
 Plates of 240 x 180 mm with faces of 70 GPa and a foam core are solved twice with the same constants: by the
-Ritz model and by CalculiX on bricks of 20 nodes (C3D20R). Bricks are solved on two meshes, the finer with
+Ritz model and by CalculiX on 20-node bricks (C3D20R). Bricks are solved on two meshes, the finer with
 twice as many elements in the plane, and extrapolated as in study 16; a third of the difference of the two
 meshes is stated as their error.
 """

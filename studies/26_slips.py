@@ -355,8 +355,8 @@ def sections(results: Results) -> dict[str, str]:
     )
     said = (
         f"Of {right + other + none + unseen + refused} drawn files with one of {len(slips)} slips "
-        f"{right} had it named and {other} another one; {unseen} fitted to within the noise. "
-        f"Of {files} files without a slip, half of them with a real cause such as a taper, "
+        f"{right} had it named, {other} another one, {none + refused} none; {unseen} fitted to within the "
+        f"noise. Of {files} files without a slip, half of them with a real cause such as a taper, "
         f"{wrong} had one named."
     )
     return {"named": paragraph(said)}

@@ -1,4 +1,4 @@
-"""Quality control of constants: limits such as "E1_GPa >= 115", and Shewhart's chart of individual values.
+"""Quality control of constants: limits such as "E1_GPa >= 115", and a chart of individual values.
 
 A limit has the probability that a constant meets it; the chart tells the plates that differ by more than the
 batch scatters.
@@ -134,7 +134,7 @@ def _is_number(text: str) -> bool:
 
 
 # Standard deviation of normal values over the median range of two of them; limits in standard deviations.
-_OF_MEDIAN_RANGE, _SIGMAS = 1.047, 3.0
+_OF_MEDIAN_RANGE, _SIGMAS = 1.0484, 3.0
 LEAST_PLATES: Final = 3
 
 
@@ -159,7 +159,7 @@ class ControlChart:
 def control_chart(values: Sequence[float]) -> ControlChart | None:
     """The chart of individual values with limits from their moving ranges; None of fewer than three.
 
-    median(x) +- 3 * 1.047 median |x_i - x_(i-1)|: medians, because a bad plate would widen limits from means
+    median(x) +- 3 * 1.0484 median |x_i - x_(i-1)|: medians, because a bad plate would widen limits from means
     and hide (Montgomery, Introduction to Statistical Quality Control, section 6.4).
     """
     if len(values) < LEAST_PLATES:

@@ -335,7 +335,7 @@ class Audit(TypedDict):
     misprints: Texts
     means_of_ten: str | None
     not_determined: str | None
-    angles: str | None
+    angles: Texts
     percentages: list[Percentage]
     misfits: list[Misfit]
 

@@ -82,7 +82,7 @@ def _size(parameter: Parameter) -> str:
 def _ends(parameter: Parameter) -> str:
     unit, factor = parameter.display
     low, high = factor * parameter.prior.lower, factor * parameter.prior.upper
-    text = f"{high:g}" if low == 0.0 else f"+-{high:g}" if low == -high else f"{low:g}, {high:g}"
+    text = f"{high:.3g}" if low == 0.0 else f"+-{high:.3g}" if low == -high else f"{low:.3g}, {high:.3g}"
     return f"{text} {unit}".rstrip()
 
 

@@ -27,6 +27,8 @@ _CONTRAST: Final = 0.6
 # Share of the draws beyond either end of the pairs.
 _TAIL: Final = 0.0005
 _BLUE, _GREY, _RED, _ORANGE = "#4878a8", "#808080", "#c0392b", "#c1440e"
+# Points of a drawn profile.
+_FINE: Final = 1000
 # Drops of log likelihood up to here are drawn.
 _DEEPEST: Final = 6.0
 
@@ -131,11 +133,10 @@ def marginals_figure(title: str, sampled: Draws, profiles: Sequence[Profile]) ->
         i, factor = names.index(profile.name), to_user(profile.name, 1.0)
         prior, reference = priors[i], references[i]
         draws = sampled.values[:, i] * factor
-        ends = profile.values[0] * factor, profile.values[-1] * factor
-        _draw_marginal(upper, profile.name, prior, reference, draws, ends)
+        span = _span_of(draws, profile, factor, reference * factor)
+        _draw_marginal(upper, profile.name, prior, reference, draws, span)
         _draw_profile(lower, profile, factor)
-        margin = 0.06 * (ends[1] - ends[0])
-        lower.set_xlim(ends[0] - margin, ends[1] + margin)
+        lower.set_xlim(*span)
         for here in (upper, lower):
             for bound in (prior.lower * factor, prior.upper * factor):
                 here.axvline(bound, color="black", linewidth=1.4, linestyle=":")
@@ -158,11 +159,26 @@ def marginals_figure(title: str, sampled: Draws, profiles: Sequence[Profile]) ->
     return figure
 
 
+def _span_of(draws: NDArray[Any], profile: Profile, factor: float, reference: float) -> tuple[float, float]:
+    """What an axis shows: the draws, the upper part of the profile and the reference, with room beside."""
+    shown = [*np.quantile(draws, (_TAIL, 1.0 - _TAIL)), *(factor * profile.values[profile.drop < DROP_95])]
+    if np.isfinite(reference):
+        shown.append(reference)
+    room = 0.4 * (max(shown) - min(shown))
+    ends = factor * profile.values[0], factor * profile.values[-1]
+    margin = 0.03 * (ends[1] - ends[0])
+    return max(min(shown) - room, ends[0] - margin), min(max(shown) + room, ends[1] + margin)
+
+
 def _draw_profile(axes: Axes, profile: Profile, factor: float) -> None:
+    """A profile through its points, its signed root being interpolated: a parabola where that is straight."""
     values, drop = profile.values, np.minimum(profile.drop, 1e3)
     at = np.searchsorted(values, profile.best)
     values, drop = np.insert(values, at, profile.best), np.insert(drop, at, 0.0)
-    axes.plot(values * factor, -drop, ".-", color=_ORANGE, markersize=5, linewidth=1.2)
+    fine = np.linspace(values[0], values[-1], _FINE)
+    between = np.interp(fine, values, np.sign(values - profile.best) * np.sqrt(np.maximum(drop, 0.0)))
+    axes.plot(fine * factor, -(between**2), color=_ORANGE, linewidth=1.2)
+    axes.plot(values * factor, -drop, ".", color=_ORANGE, markersize=5)
     axes.axhline(-DROP_95, color=_ORANGE, linewidth=1, linestyle="--")
     axes.set_ylim(-_DEEPEST, 0.03 * _DEEPEST)
 

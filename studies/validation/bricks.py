@@ -121,7 +121,7 @@ def flawed_frequencies(
     in_plane: int = _IN_PLANE,
     timeout: float | None = None,
 ) -> Array:
-    """The n lowest natural frequencies of a plate with flaws by CalculiX on bricks of 20 nodes, (n,) Hz.
+    """The n lowest natural frequencies of a plate with flaws by CalculiX on 20-node bricks, (n,) Hz.
 
     constants, in_plane : as for `plate_deck`.
     timeout : s.

@@ -145,7 +145,7 @@ def _computation(result: BatchResult) -> Table:
         ("limits", "by Laplace's approximation of the posterior"),
         ("models", f"{result.models} for {len(result.rows)} plates: a list is carried to the sizes of the "
          "first plate of its geometry"),
-        ("control limits", "median +- 3 sd, the sd 1.047 times the median moving range of neighbours in the "
+        ("control limits", "median +- 3 sd, the sd 1.048 times the median moving range of neighbours in the "
          "list, which a few bad plates do not widen"),
     ]  # fmt: skip
     if result.population is not None:

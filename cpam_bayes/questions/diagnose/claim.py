@@ -103,9 +103,12 @@ def claim_sentence(d: Diagnosis) -> str:
             return f"No evidence of an error (probability of one {wrong}, Bayes factor {factor})."
         case "named":
             cause = by_name[d.claim.causes[0]]
-            if not d.beside and cause.probability >= _CONTAINED * d.claim.probability:
+            acts_alone = cause.probability >= _CONTAINED * d.claim.probability
+            if acts_alone and not d.beside:
                 return f"{_capital(_found(d, cause))} (probability {p})."
             said = _capital(title_of(d, cause.name) + _of_plates(d, cause))
+            if not acts_alone:
+                return f"{said}, together with another error (probability {p})."
             return f"{said} (probability {p}){_alone(d, cause)}."
         case "class":
             which = listed([title_of(d, name) for name in d.claim.causes], "or")
@@ -139,7 +142,7 @@ def _undecided(d: Diagnosis) -> str:
         return f"The misfit is more than noise; what is wrong, is open: {open_}."
     factor = significant(d.bayes_factor, 2)
     if d.bayes_factor < _EVIDENCE:
-        return f"No evidence of an error (Bayes factor {factor}); this test is too weak to exclude one."
+        return f"This test is too weak to exclude an error (Bayes factor {factor})."
     return f"Perhaps something is wrong ({wrong}, Bayes factor {factor}); what, is open: {open_}."
 
 
@@ -174,8 +177,8 @@ def _or_images(d: Diagnosis, cause: Cause) -> str:
 
 
 def _alone(d: Diagnosis, cause: Cause) -> str:
-    """Size and place of a cause that something else may act beside, "" where it hardly acts alone."""
-    size = size_text(cause) if cause.probability >= _CONTAINED * d.claim.probability else ""
+    """Size and place of a cause that something else may act beside, "" where it has no size."""
+    size = size_text(cause)
     return f": {size}{_near(d, cause)} if alone" if size else ""
 
 

@@ -380,31 +380,44 @@ def _signatures_figure(d: Diagnosis) -> Figure:
 
 def _detectable(d: Diagnosis) -> Drawing:
     caption = Caption(
-        "The shorter the bar, the smaller the error that would have shown. Dotted: the standard deviation "
-        "that is assumed for the error. Pale: cannot be seen in this test.",
+        "The further left, the smaller the error that would have shown, in standard deviations of the prior of "
+        "its size. Right of the dotted line only an error larger than usual shows.",
         "The smallest size of each cause that these frequencies would have shown with 95 % probability.",
     )
     return Drawing("detectable", partial(_detectable_figure, d), caption)
 
 
 def _detectable_figure(d: Diagnosis) -> Figure:
-    """The smallest size of each cause that these data would have shown, in assumed standard deviations."""
+    """The smallest size of each cause that these data would have shown, in sd of its prior."""
+    from matplotlib.ticker import LogLocator, NullLocator
+
     rows = [row for row in detectable_rows(d) if row.probability is not None]
     rows.sort(key=lambda row: (row.in_sd is None, row.in_sd))
     sizes = [row.in_sd for row in rows if row.in_sd is not None]
-    left, right = 0.5 * min(*sizes, 1.0), 2.0 * max(*sizes, 1.0)
-    figure = new_figure(7.0, 0.9 + 0.28 * len(rows))
+    left, right = 0.5 * min(*sizes, 1.0), 4.0 * max(*sizes, 1.0)
+    figure = new_figure(7.0, 0.9 + 0.22 * len(rows))
     axes = figure.add_subplot()
-    for y, row in enumerate(rows):
-        end = right if row.in_sd is None else row.in_sd
-        axes.barh(y, end - left, 0.65, left=left, color="0.9" if row.in_sd is None else BEFORE)
-        x = left if row.in_sd is None else end
-        said = detectable_size(row)
-        axes.annotate(said, (x, y), (4, 0), textcoords="offset points", va="center", fontsize=9)
     axes.axvline(1.0, color=REFERENCE, linewidth=0.8, linestyle=":")
+    for y, row in enumerate(rows):
+        if row.in_sd is not None:
+            axes.hlines(y, left, row.in_sd, color="0.85", linewidth=1.0)
+            axes.plot(row.in_sd, y, "o", color=BEFORE, markersize=6)
+        axes.annotate(
+            detectable_size(row),
+            (row.in_sd or left, y),
+            (7, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=9,
+            color="0.5" if row.in_sd is None else "black",
+            bbox={"color": "white", "pad": 0.5},
+        )
     axes.set_yticks(range(len(rows)), [row.title for row in rows], fontsize=9)
-    axes.invert_yaxis()
-    axes.set(xscale="log", xlim=(left, 2.0 * right), xlabel="smallest size / assumed sd")
+    axes.set(xscale="log", xlim=(left, right), ylim=(len(rows) - 0.3, -0.7))
+    axes.set_xlabel("detection limit / standard deviation of its prior")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_locator(NullLocator())
     axes.spines[["top", "right", "left"]].set_visible(False)
     axes.tick_params(axis="y", length=0)
     headed(figure, f"{_names(d)}: detection limits")

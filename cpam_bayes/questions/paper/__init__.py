@@ -474,7 +474,7 @@ def _document(result: PaperResult) -> dict[str, Any]:
             "misprints": [note for n in result.numbers for note in _misprints(printed_table(n))],
             "means_of_ten": means_of_ten(result.rows) or None,
             "not_determined": not_determined(result.rows) or None,
-            "angles": noisy_angles(result.rows) or None,
+            "angles": list(noisy_angles(result.rows)),
             "percentages": [
                 {
                     "table": check.table,

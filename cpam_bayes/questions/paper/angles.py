@@ -221,27 +221,32 @@ def told(weighed: Mapping[str, Any]) -> dict[str, float]:
     return {**{key: float(weighed[key]) for key in kept}, **bits}
 
 
-def noisy_angles(rows: Sequence[Row]) -> str:
-    """The worth of the means of angles of Tables 11 to 14, in words; "" where none was computed."""
+def noisy_angles(rows: Sequence[Row]) -> tuple[str, ...]:
+    """The worth of the means of angles of Tables 11 to 14, point by point; empty where none was computed."""
     of_angles = [row for row in rows if "spread_1_deg" in row.details]
     if not of_angles:
-        return ""
+        return ()
     found = sum(int(row.details["found"] or 0) for row in of_angles)
     on_grid = sum(row.details["on_grid"] == 1.0 for row in of_angles)
     within = sum(row.verdict in (AGREES, UNTOLD) for row in of_angles)
     by_chance = sum(row.details["chance_within"] or 0.0 for row in of_angles)
     undetermined = [row for row in of_angles if row.verdict == UNDETERMINED]
-    said = (
-        "Angles and constants sought together, as in the paper, by one fuzzy swarm on each of ten lists a "
-        f"level: {found} of {PRINTED_GROUPS * len(of_angles)} inversions end at the printed angles or an "
-        "image with the same frequencies. "
-        f"At {len(undetermined)} of {len(of_angles)} levels more than {100.0 * _CHANCE:.0f} % of {_DRAWS} "
-        "draws of uniform angles are as near the print and as close together. The printed means agree "
-        f"with ours or cannot be told apart at {within} levels, with uniform angles at {by_chance:.1f}. At "
-        f"{on_grid} all printed means are multiples of {_GRID_DEG:g} degrees, as one in ten of such means is."
+    printed_found = (
+        "Angles and constants were sought together, as in the paper, by one fuzzy swarm on each of ten lists "
+        f"a level: {found} of {PRINTED_GROUPS * len(of_angles)} inversions end at the printed angles or an "
+        "image with the same frequencies."
     )
-    parts = (said, _scatter(of_angles), _without_noise(rows), _weighed_angles(rows), _inner_plies(of_angles))
-    return " ".join(filter(None, parts))
+    means = (
+        f"The printed means agree with ours or cannot be told apart at {within} of {len(of_angles)} levels; "
+        f"means of uniform angles would at {by_chance:.1f}. At {len(undetermined)} levels more than "
+        f"{100.0 * _CHANCE:.0f} % of {_DRAWS} draws of uniform angles are as near the print and as close "
+        f"together as our inversions. At {on_grid} all printed means are multiples of {_GRID_DEG:g} degrees, "
+        "as one in ten of such means is."
+    )
+    scatter = " ".join(filter(None, (_scatter(of_angles), _without_noise(rows))))
+    return tuple(
+        filter(None, (printed_found, means, scatter, _weighed_angles(rows), _inner_plies(of_angles)))
+    )
 
 
 def _scatter(rows: Sequence[Row]) -> str:

@@ -114,7 +114,7 @@ def _draw_misfits(misfits: list[Record]) -> Figure:
     places = np.arange(len(misfits))
     printed, ours = ([m[key] for m in misfits] for key in ("rms_percent", "our_rms_percent"))
     axes.bar(places - 0.2, printed, 0.38, color="#c1440e", label="printed constants")
-    axes.bar(places + 0.2, ours, 0.38, color="#4878a8", label="least F found")
+    axes.bar(places + 0.2, ours, 0.38, color="#4878a8", label="smallest F found")
     axes.set_yscale("log")
     counts = {TWO: "\ntwo", FOUR: "\nfour"}
     axes.set_xticks(places, [m["specimen"] + counts.get(m["case"], "") for m in misfits], fontsize="small")

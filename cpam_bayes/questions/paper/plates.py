@@ -33,9 +33,9 @@ def wrong_plates(document: Record) -> Iterator[str]:
         f"## What is wrong with {listed(tuple(wrong), 'and')}",
         "",
         "With constants near the data sheet the printed plate misses these measured frequencies by more "
-        f"than {UNEXPLAINED_PERCENT:g} % (rms). Left is the misfit of such constants, of those of the "
-        "least F, eq. (7), within wide bounds (high modes weigh most), and with the cause that `cpam-bayes "
-        "diagnose` finds.",
+        f"than {UNEXPLAINED_PERCENT:g} % (rms). Left: that misfit, the misfit with the constants of the "
+        "smallest F, eq. (7), within wide bounds (high modes weigh most), and the misfit with the cause that "
+        "`cpam-bayes diagnose` finds.",
         "",
         *(f"- **{name}**: {_in_words(error, _least(document, name))}" for name, error in wrong.items()),
         "",
@@ -43,7 +43,7 @@ def wrong_plates(document: Record) -> Iterator[str]:
 
 
 def _least(document: Record, name: str) -> str:
-    """Misfit and E1 of the least F for the printed plate; "" where Table 9 was not computed."""
+    """Misfit and E1 of the smallest F for the printed plate; "" where Table 9 was not computed."""
     rms = [
         m["our_rms_percent"]
         for m in document["audit"]["misfits"]
@@ -56,7 +56,7 @@ def _least(document: Record, name: str) -> str:
     ]
     if not rms or not e1:
         return ""
-    return f"{_TWO_DIGITS(rms[0])} % at the least F (E1 {significant(e1[0], 3)} GPa)"
+    return f"{_TWO_DIGITS(rms[0])} % at the smallest F (E1 {significant(e1[0], 3)} GPa)"
 
 
 def _in_words(error: Record, least: str) -> str:

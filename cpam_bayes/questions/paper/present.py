@@ -159,9 +159,9 @@ _MISFITS: Final = (
     _of("case", "constants"),
     _of("source", "by"),
     _of("objective", "F", significant, number=True),
-    _of("our_objective", "least F", significant, number=True),
+    _of("our_objective", "smallest F", significant, number=True),
     _of("rms_percent", "rms %", _THREE_DIGITS, number=True),
-    _of("our_rms_percent", "rms % at the least F", _THREE_DIGITS, number=True),
+    _of("our_rms_percent", "rms % at the smallest F", _THREE_DIGITS, number=True),
     _shown("swarms that found it", lambda m: f"{m['swarms_found']} of {m['swarms']}", number=True),
     _of("swarms"),
     _of("swarms_found"),
@@ -332,7 +332,7 @@ def report_of(document: Record, slips: tuple[str, ...], cautions: tuple[str, ...
                     remarks("Misprints and contradictions", document["audit"]["misprints"]),
                     remarks(
                         "What means of ten can show",
-                        filter(None, (document["audit"][key] for key in ("means_of_ten", "angles"))),
+                        _on_noise(document["audit"]),
                     ),
                 ),
             ),
@@ -463,8 +463,8 @@ def _lines(document: Record) -> Iterator[str]:
         "",
         "## Printed constants against their own frequencies",
         "",
-        "F is eq. (7), in Hz², with the printed constants and layup; least F is the least that the swarms "
-        f"found, with E1 > E2 of eq. (9) and within the bounds of eq. (8){_other_bounds(own)}. "
+        "F is eq. (7), in Hz², with the printed constants and layup; smallest F is the smallest that the "
+        f"swarms found, with E1 > E2 of eq. (9) and within the bounds of eq. (8){_other_bounds(own)}. "
         f"{_of_one_swarm(own)}",
         "",
     )
@@ -504,7 +504,7 @@ def _by_author(tables: Sequence[Record]) -> str:
 
 
 def _other_bounds(misfits: Sequence[Record]) -> str:
-    """Bounds of the least F that are not those of eq. (8), with the plates."""
+    """Bounds of the smallest F that are not those of eq. (8), with the plates."""
     found: dict[tuple[str, float, float, str], list[str]] = {}
     for misfit in misfits:
         for name, (low, high) in misfit["beyond_eq_8"].items():
@@ -517,12 +517,12 @@ def _other_bounds(misfits: Sequence[Record]) -> str:
 
 
 def _of_one_swarm(misfits: Sequence[Record]) -> str:
-    """Plates whose least F was found by one swarm only, where several searched."""
+    """Plates whose smallest F was found by one swarm only, where several searched."""
     alone = [m for m in misfits if m["swarms"] > 1 and m["swarms_found"] <= 1]
     if not alone:
         return ""
     each = listed([f"{_case(m)} ({m['swarms_found']} of {m['swarms']})" for m in alone], "and")
-    return f"One swarm alone found it on {each}: there it may not be the least."
+    return f"One swarm alone found it on {each}: there it may not be the smallest."
 
 
 def _diagnosed_lines(simulation: Sequence[Record]) -> Iterator[str]:
@@ -541,14 +541,19 @@ def _diagnosed_lines(simulation: Sequence[Record]) -> Iterator[str]:
 
 def _noise_lines(document: Record) -> Iterator[str]:
     """Findings in the tables of noise."""
-    texts = [text for key in ("means_of_ten", "angles") if (text := document["audit"].get(key))]
+    texts = _on_noise(document["audit"])
     if not texts:
         return
-    yield from ("## What means of ten can show", "", *(f"{text}\n" for text in texts))
+    yield from ("## What means of ten can show", "", *(f"- {text}" for text in texts), "")
     rows = tuple(filter(_has_spread, document["rows"]))
     if rows:
         yield from ("Plies from the outermost to the innermost:", "")
         yield from _markdown(Rows("angles", _NOISY_ANGLES, rows))
+
+
+def _on_noise(audit: Record) -> tuple[str, ...]:
+    """What the means of ten and their angles are worth."""
+    return tuple(filter(None, (audit["means_of_ten"], *audit["angles"])))
 
 
 def _hadamard_lines(conditions: Sequence[Record]) -> Iterator[str]:
@@ -566,8 +571,8 @@ def _hadamard_lines(conditions: Sequence[Record]) -> Iterator[str]:
         f"{least:.1g} to {most:.1g} % (rms), added in squares. "
         "*Uniqueness*: the sensitivities d ln f / d ln x have full rank, and no other optimum or stacking "
         "sequence (95 % set) fits within the noise. "
-        f"A solution exists for {len(exist)} of {len(conditions)} choices of plate and unknowns"
-        f"{_named(exist)}, and is the only one for {len(unique)}. *Stability*, what 1 % of "
+        f"Existence holds for {len(exist)} of {len(conditions)} choices of plate and unknowns"
+        f"{_named(exist)}, uniqueness for {len(unique)}. *Stability*, what 1 % of "
         "noise does to each constant, is in the table of `cpam-bayes paper --verbose`.",
         "",
     )

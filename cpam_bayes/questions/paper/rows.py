@@ -316,7 +316,7 @@ def _own_misfit(misfits: Sequence[Record]) -> str:
     return (
         f"Table 9(a): the printed constants miss their plates' own frequencies, rms {above}; worst "
         f"{worst['specimen']}, {worst['rms_percent']:.3g} %, where the best fit within the bounds leaves "
-        f"{worst['our_rms_percent']:.3g} %. Their F, eq. (7), is more than ten times the least one for "
+        f"{worst['our_rms_percent']:.3g} %. Their F, eq. (7), is more than ten times the smallest for "
         f"{ten} of {len(identified)} plates."
     )
 

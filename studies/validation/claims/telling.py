@@ -41,7 +41,7 @@ def section(
     lines = [f"All {n} lists answered." if n == total else f"{n} of {total} lists answered, in random order."]
     predictions = {} if seal is None else seal["predictions"]
     if seal is not None:
-        lines += [f"Code of commit {seal['code']}, seed {seal['seed']} drawn on {seal['drawn']}."]
+        lines += [f"Sealed at commit {seal['code']}, seed {seal['seed']} drawn on {seal['drawn']}."]
     rows = [_figure(row, predictions.get(row["what"])) for row in scores["figures"] if row["number"]]
     lines += ["", markdown_table(("", "predicted", "reached", "95 % interval", "of", "outcome"), rows)]
     lines += ["", _coverage_table(scores["coverage"])]
@@ -52,7 +52,7 @@ def section(
     # those that misled earlier versions were drawn again and more often, in study 30
     unknown = [row for row in scores["by_pattern"] if row["of"] == GROUPS["beyond"]]
     if unknown:
-        lines += ["", pattern_table("what no cause is", unknown)]
+        lines += ["", pattern_table("outside the catalogue", unknown)]
     lines += beside
     if scores["misled"]:
         ways = (f"{row['way']}{_between(row)} {row['number']} of {row['of']}" for row in scores["misled"])
@@ -153,13 +153,11 @@ def in_short(total: int, scores: Record, seal: Record, states: int = 1) -> str:
     low, high = too_sure["interval"]
     by = f", by {states} versions of the code" if states > 1 else ""
     said = (
-        f"**Sealed lists** ([{answered} answered](docs/hidden_effects.md){by}). Elements: "
-        f"{_share(scores, scoring.COVERED)} 95 % intervals of lists from priors hold the constant "
-        f"({least:.0f} to {most:.0f} predicted), {_counted(scores, scoring.WRONG_OF_ELEMENTS)} lists are "
-        f"claimed wrongly (at most {wrong:.0f} % predicted). Bricks: "
-        f"{_share(scores, scoring.COVERED_OF_BRICKS)}; {_counted(scores, scoring.WRONG_OF_BRICKS)}. "
-        f"Claims are too sure by {too_sure['value']:.2f} "
-        f"({low:.2f} to {high:.2f})."
+        f"**Blind test** ([simulated lists](docs/hidden_effects.md), {answered} answered{by}): 95 % "
+        f"intervals hold {_share(scores, scoring.COVERED)} constants of lists from priors ({least:.0f} to "
+        f"{most:.0f} predicted), {_share(scores, scoring.COVERED_OF_BRICKS)} of bricks; "
+        f"{_counted(scores, scoring.WRONG_CLAIMS)} claims are wrong (at most {wrong:.0f} % predicted). "
+        f"Stated probabilities are {too_sure['value']:.2f} ({low:.2f} to {high:.2f}) too high."
     )
     ways = "; ".join(_way(row, scores["wrong"]) for row in scores["misled"][:3])
     return "\n".join(paragraph(point, "- ") for point in (said, f"**Misled by** {ways}."))
