@@ -31,7 +31,7 @@ def sections(results: Results) -> dict[str, str]:
     rows = [tuple(row[i] for i in places) for row in _wait_rows(results)]
     waits = markdown_table(("", "s", "GiB"), rows)
     solved = [(case, now, unit, against) for case, _, now, _, unit, against in _solver_rows(results)]
-    solver = markdown_table(("", "found", "", "against"), solved) if solved else "Not measured yet."
+    solver = markdown_table(("", "measured", "unit", "against"), solved) if solved else "Not measured yet."
     return {"waits": f"{_loads(results['waits'])}\n\n{waits}".strip(), "solver": solver}
 
 

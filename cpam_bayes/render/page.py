@@ -60,6 +60,7 @@ TERMS: Final = {
     "label": "a mode named by its nodal lines across x and across y: (1,1) is the first twist of a free "
     "plate",
     "missed mode": "a mode in the range of the list that is not in it",
+    "nat": "unit of a log probability: 1 nat is a factor of 2.72",
     "noise": "scatter of a measured frequency about that of its mode",
     "p-value": "the probability of residuals as large or larger if the model is right, with the noise that "
     "is named beside it",

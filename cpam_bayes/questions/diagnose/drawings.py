@@ -380,8 +380,8 @@ def _signatures_figure(d: Diagnosis) -> Figure:
 
 def _detectable(d: Diagnosis) -> Drawing:
     caption = Caption(
-        "The further left, the smaller the error that would have shown, in standard deviations of the prior of "
-        "its size. Right of the dotted line only an error larger than usual shows.",
+        "The further left, the smaller the error that would have shown, in standard deviations of the prior "
+        "of its size. Right of the dotted line only an error larger than usual shows.",
         "The smallest size of each cause that these frequencies would have shown with 95 % probability.",
     )
     return Drawing("detectable", partial(_detectable_figure, d), caption)
