@@ -14,39 +14,33 @@ from cpam_bayes.diagnosis.evidence import marginal
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
 from cpam_bayes.diagnosis.models import PlateModels, local_model, plate_models
 from cpam_bayes.effects import CATALOGUE, Effect, add_known_mass, extend, variants
+from cpam_bayes.forward_model import model as plate_model
 from cpam_bayes.forward_model.local.basis import local_space
 from cpam_bayes.forward_model.local.modal import changed_on_modes, on_modes
 from cpam_bayes.forward_model.local.model import LocalModel
-from cpam_bayes.forward_model.model import (
-    PlateModel,
-    Prediction,
-    biased,
-    converged_model,
-    model_on_basis,
-    reference_vector,
-)
+from cpam_bayes.forward_model.model import PlateModel, Prediction, converged_model, reference_vector
 from cpam_bayes.inference.student_mixture import Mixture
 from cpam_bayes.mechanics.dense import discretise
 from cpam_bayes.mechanics.fem import discretise_sparse, fem_space
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.plate import Measurement, Sensor, Specimen, builtin, layup
+from tests.plates import with_plate
 from tests.shared import once_a_run
 
-PATCHES = ("bell", "rectangle")
 N = 6
-
-every_patch = pytest.mark.parametrize("form", PATCHES)
-every_form = pytest.mark.parametrize("form", ["mass", *PATCHES])
+FORMS = ("mass", "bell", "rectangle")
+every_form = pytest.mark.parametrize("form", FORMS)
+SLOW = [("mass", "A2"), ("mass", "angled"), ("mass", "loaded"), ("bell", "A2")]
+CASES = [*((form, "C1") for form in FORMS), *(pytest.param(*case, marks=pytest.mark.slow) for case in SLOW)]
 
 
 def specimen_of(name: str) -> Specimen:
     """C1, A2, or C1 with plies at an angle ("angled"), or in air with a known sensor ("loaded")."""
-    one = builtin("A2" if name == "A2" else "C1")
     if name == "angled":
-        return replace(one, plate=replace(one.plate, layup=layup.parse_layup("[30/-40]_s")))
+        return with_plate("C1", layup=layup.parse_layup("[30/-40]_s"))
     if name == "loaded":
-        return replace(one, sensors=(Sensor(2e-3, 0.02, 0.03),), air_density=1.2)
-    return one
+        return replace(builtin("C1"), sensors=(Sensor(2e-3, 0.02, 0.03),), air_density=1.2)
+    return builtin(name)
 
 
 @once_a_run
@@ -90,24 +84,14 @@ def truth(form: str, row: np.ndarray, name: str = "C1", *, elements: bool = Fals
     named = {key: np.array([value]) for key, value in zip(model.parameters.names, row, strict=True)}
     effect = effect_of(form, name).fixed({key: value[0] for key, value in named.items()})
     problem = extend(plate.problem, effect, plate.facts)
-    if elements:
-        # the edges of elements are those of the rectangle below
-        sparse = discretise_sparse(problem, fem_space(problem.edges, problem.nominal, 20, 20), named)
-        return solve(sparse, *sparse.coefficients(named), N).frequencies[0]
-    dense = discretise(problem, local_space(plate.problem, model.bare.basis[0]), named)
-    return solve(dense, *dense.coefficients(named), N).frequencies[0]
+    if elements:  # whose edges are those of the rectangle below
+        operator = discretise_sparse(problem, fem_space(problem.edges, problem.nominal, 20, 20), named)
+    else:
+        operator = discretise(problem, local_space(plate.problem, model.bare.basis[0]), named)
+    return solve(operator, *operator.coefficients(named), N).frequencies[0]
 
 
-SLOW = [("mass", "A2"), ("mass", "angled"), ("mass", "loaded"), ("bell", "A2")]
-
-
-@pytest.mark.parametrize(
-    ("form", "name"),
-    [
-        *((form, "C1") for form in ("mass", *PATCHES)),
-        *(pytest.param(*case, marks=pytest.mark.slow) for case in SLOW),
-    ],
-)
+@pytest.mark.parametrize(("form", "name"), CASES)
 def test_frequencies_are_those_of_the_full_space_with_the_effect_there(form: str, name: str) -> None:
     for sets, tolerance in ((random_sets(form, 2, name), 5e-4), (gross_sets(form, name), 2e-3)):
         found = model_of(form, name).predict(sets).frequencies
@@ -127,7 +111,8 @@ def test_an_answer_states_what_the_basis_of_all_places_errs_at_a_few_draws(form:
     nothing = Mixture(np.ones((1, 1)), np.zeros((1, 1, 1)), np.ones((1, 1, 1)), np.inf)
     drawn = marginal.Marginal(comparison, (), 0.0, np.nan, sets[:1], np.ones(1), nothing, sets, even)
     # the bias of the theory is in both
-    truths = biased(Prediction(np.array([truth(form, row) for row in sets[::2]]), None), model.bare.bias)
+    found = Prediction(np.array([truth(form, row) for row in sets[::2]]), None)
+    truths = plate_model.biased(found, model.bare.bias)
     errors = np.abs(model.predict(sets[::2]).frequencies / truths.frequencies - 1.0)
     assert errors.max() > 1e-7
     found = basis_error_of([marginal.Tested(hypothesis, (0,), drawn)], [case])
@@ -156,7 +141,7 @@ def test_shifts_are_those_of_finite_elements(form: str, effect: list[float], tol
 
 
 @pytest.mark.slow
-@every_patch
+@pytest.mark.parametrize("form", ["bell", "rectangle"])
 def test_the_deepest_patches_of_a_clamped_plate_leave_it_stiff(form: str) -> None:
     """No patch loses more energy than there is, however coarse its quadrature is for the responses."""
     model, sets = model_of(form, "A2"), random_sets(form, 200, "A2")
@@ -172,13 +157,11 @@ def test_images_of_a_place_have_equal_frequencies(form: str) -> None:
     for axis in (-2, -3):
         other = sets.copy()
         other[:, axis] = 1.0 - other[:, axis]
-        found = [model_of(form).predict(x).frequencies for x in (sets, other)]
-        np.testing.assert_allclose(*found, rtol=1e-8)
+        np.testing.assert_allclose(*(model_of(form).predict(x).frequencies for x in (sets, other)), rtol=1e-8)
 
 
 @pytest.mark.parametrize(
-    ("form", "name"),
-    [("mass", "C1"), ("mass", "A2"), ("mass", "angled"), *((form, "C1") for form in PATCHES)],
+    ("form", "name"), [*((form, "C1") for form in FORMS), ("mass", "A2"), ("mass", "angled")]
 )
 def test_jacobian_is_the_difference_quotient_of_the_frequencies(form: str, name: str) -> None:
     model, sets = model_of(form, name), random_sets(form, 5, name)
@@ -196,16 +179,11 @@ def test_jacobian_is_the_difference_quotient_of_the_frequencies(form: str, name:
         assert np.abs(slope - quotient).max() < tolerance * np.abs(slope).max(), model.parameters.names[k]
 
 
-def test_a_set_has_the_same_frequencies_in_any_company() -> None:
-    sets = random_sets("bell", 8)
-    model = model_of("bell")
-    alone = np.concatenate([model.predict(row).frequencies for row in sets])
-    np.testing.assert_allclose(model.predict(sets).frequencies, alone, rtol=1e-9)
-
-
 @every_form
-def test_a_model_is_the_same_bit_for_bit_in_another_process(form: str) -> None:
-    x, model = random_sets(form, 5), model_of(form)
+def test_a_set_has_the_same_frequencies_in_any_company_and_bit_for_bit_in_another_process(form: str) -> None:
+    x, model = random_sets(form, 8), model_of(form)
+    alone = np.concatenate([model.predict(row).frequencies for row in x])
+    np.testing.assert_allclose(model.predict(x).frequencies, alone, rtol=1e-9)
     a, b = (m.predict(x, jacobian=True) for m in (model, pickle.loads(pickle.dumps(model))))
     np.testing.assert_array_equal(a.frequencies, b.frequencies)
     np.testing.assert_array_equal(a.jacobian, b.jacobian)
@@ -216,14 +194,14 @@ def on_own_modes(name: str) -> tuple[Specimen, PlateModel, np.ndarray]:
     """A plate, its full model and twenty parameter vectors within 3 % of its reference constants."""
     specimen = builtin(name)
     full = converged_model(specimen, specimen.unknowns, N)
-    middle = reference_vector(specimen, full.parameters)
-    about = np.random.default_rng(0).uniform(0.97, 1.03, (20, len(middle)))
-    return specimen, full, middle * about
+    about = np.random.default_rng(0).uniform(0.97, 1.03, (20, full.parameters.size))
+    return specimen, full, reference_vector(specimen, full.parameters) * about
 
 
 def with_terms(full: PlateModel, problem: Any, samples: np.ndarray) -> np.ndarray:
     """Frequencies of the plate with more terms, on its own basis."""
-    return model_on_basis(problem, samples, N, full.error, full.basis).predict(samples).frequencies
+    model = plate_model.model_on_basis(problem, samples, N, full.error, full.basis)
+    return model.predict(samples).frequencies
 
 
 def test_a_plate_on_its_modes_has_the_frequencies_of_its_full_model_nearby() -> None:

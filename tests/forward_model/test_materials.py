@@ -15,15 +15,29 @@ from cpam_bayes.forward_model.model import plate_problem, reference_constants
 from cpam_bayes.forward_model.preconditions import exchange_notices
 from cpam_bayes.forward_model.three_dimensions import LIMIT, sandwich_error
 from cpam_bayes.mechanics.convergence import Tolerance
+from cpam_bayes.plate import Specimen
 from cpam_bayes.render.notices import sentence_of
 from tests.hybrids import CARBON, HYBRID, hybrid, isotropic, of_layers, sandwich
 from tests.plate_file import described
 from tests.plates import frequencies, navier
 
+LAYERS = {
+    "heavy faces": [(4.0, 70.0, 2700.0), (8.0, 10.0, 600.0), (4.0, 70.0, 2700.0)],
+    "heavy core": [(4.0, 70.0, 500.0), (8.0, 10.0, 6000.0), (4.0, 70.0, 500.0)],
+    "steel under aluminium": [(6.0, 210.0, 7800.0), (10.0, 70.0, 2700.0)],
+    "heavy upper half": [(8.0, 70.0, 500.0), (8.0, 70.001, 5000.0)],
+}
+# Of two halves that weigh differently.
+HALVES = of_layers([(3.0, isotropic(70.0, 500.0)), (3.0, isotropic(40.0, 5000.0))], (200.0, 150.0))
+FABRIC = {"E1_GPa": 62.0, "E2_GPa": 62.0, "nu12": 0.05, "G12_GPa": 4.2, "G13_GPa": 3.5, "G23_GPa": 3.0}
+SPRUCE = {"E1_GPa": 11.2, "E2_GPa": 0.91, "nu12": 0.51, "G12_GPa": 0.72}
+ACROSS = {"E1_GPa": 0.91, "E2_GPa": 11.2, "nu12": 0.04, "G12_GPa": 0.72, "G13_GPa": 0.1, "G23_GPa": 0.6}
+OBLONG, SQUARE = (300.0, 200.0, 4.0), (200.0, 200.0, 3.0)
+BOTH = {"E1_GPa": [5.0, 80.0], "E2_GPa": [5.0, 80.0], "nu12": [0.0, 0.3], "G12_GPa": [2.0, 8.0]}
+LISTED = {"frequencies_hz": [100.0, 200.0, 300.0, 400.0, 500.0]}
 
-def coupled_navier(
-    layers: list[tuple[float, float, float]], a: float, b: float, shear: np.ndarray
-) -> np.ndarray:
+
+def coupled_navier(layers: list[tuple[float, float, float]], sides, shear: np.ndarray) -> np.ndarray:
     """Frequencies of a supported plate of isotropic layers with nu = 0.3, first-order theory, Hz.
 
     With all coupling and inertia (Reddy, Mechanics of Laminated Composite Plates and Shells, section 6.3).
@@ -42,27 +56,15 @@ def coupled_navier(
     stiffness[6:, 6:] = shear
     mass = np.diag([i0, i0, i0, i2, i2])
     mass[0, 3] = mass[3, 0] = mass[1, 4] = mass[4, 1] = i1
-    return navier(stiffness, mass, (a, b), 12)
+    return navier(stiffness, mass, sides, 12)
 
 
-@pytest.mark.parametrize(
-    "layers",
-    [
-        pytest.param([(4.0, 70.0, 2700.0), (8.0, 10.0, 600.0), (4.0, 70.0, 2700.0)], id="heavy faces"),
-        pytest.param([(4.0, 70.0, 500.0), (8.0, 10.0, 6000.0), (4.0, 70.0, 500.0)], id="heavy core"),
-        pytest.param([(6.0, 210.0, 7800.0), (10.0, 70.0, 2700.0)], id="steel under aluminium"),
-        pytest.param([(8.0, 70.0, 500.0), (8.0, 70.001, 5000.0)], id="heavy upper half"),
-    ],
-)
+@pytest.mark.parametrize("layers", LAYERS.values(), ids=LAYERS)
 def test_thick_layers_have_the_frequencies_of_navier(layers: list[tuple[float, float, float]]) -> None:
     plate = of_layers([(t, isotropic(e, rho)) for t, e, rho in layers], (200.0, 150.0), "SSSS")
     shear = np.real(plate_problem(cb.read_plate(plate)).nominal.stiffness())[6:, 6:]
-    closed = coupled_navier([(1e-3 * t, 1e9 * e, rho) for t, e, rho in layers], 0.2, 0.15, shear)
+    closed = coupled_navier([(1e-3 * t, 1e9 * e, rho) for t, e, rho in layers], (0.2, 0.15), shear)
     assert_allclose(lowest(plate, 5), closed[:5], rtol=1e-5)
-
-
-# Of two halves that weigh differently.
-HALVES = of_layers([(3.0, isotropic(70.0, 500.0)), (3.0, isotropic(40.0, 5000.0))], (200.0, 150.0))
 
 
 def test_elements_agree_where_the_halves_weigh_differently() -> None:
@@ -83,6 +85,11 @@ def test_a_deck_has_a_card_for_each_material(tmp_path: Any) -> None:
     assert [1e6 * float(row.split(",")[0]) for row in rows] == [500, 375, 375, 500, 375, 375, 500]
 
 
+def ritz_and_bricks(specimen: Specimen, n_modes: int, in_plane: int) -> tuple[np.ndarray, np.ndarray]:
+    bricks = solve_modes(specimen, reference_constants(specimen), n_modes, in_plane=in_plane)
+    return cb.forward(specimen, n_modes=n_modes).frequencies, bricks.frequencies
+
+
 @pytest.mark.needs_ccx
 @pytest.mark.parametrize(
     ("plate", "n_modes", "in_plane", "tolerance"),
@@ -94,18 +101,13 @@ def test_a_deck_has_a_card_for_each_material(tmp_path: Any) -> None:
     ids=["hybrid", "halves"],
 )
 def test_bricks_agree(plate: dict[str, Any], n_modes: int, in_plane: int, tolerance: float) -> None:
-    specimen = cb.read_plate(plate)
-    ritz = cb.forward(specimen, n_modes=n_modes).frequencies
-    bricks = solve_modes(specimen, reference_constants(specimen), n_modes, in_plane=in_plane).frequencies
-    assert_allclose(ritz, bricks, rtol=tolerance)
+    assert_allclose(*ritz_and_bricks(cb.read_plate(plate), n_modes, in_plane), rtol=tolerance)
 
 
 def test_the_error_of_a_sandwich_does_not_depend_on_where_x_is() -> None:
     turned = hybrid(layup="[f0/s/f0]", thickness_mm=10.0)
-    turned["ply"] = [
-        {"name": "f", "material": "carbon", "thickness_mm": 1.0},
-        {"name": "s", "material": "core", "thickness_mm": 8.0},
-    ]
+    plies = (("f", "carbon", 1.0), ("s", "core", 8.0))
+    turned["ply"] = [{"name": name, "material": of, "thickness_mm": t} for name, of, t in plies]
     turned["material"] = {"carbon": CARBON, "core": isotropic(0.05, 75.0)}
     along = sandwich_error(cb.read_plate(turned), [300.0, 900.0])
     turned["plate"]["layup"] = "[f90/s/f90]"
@@ -126,10 +128,8 @@ def test_a_core_that_is_too_soft_is_warned_of() -> None:
 @pytest.mark.needs_ccx
 def test_the_error_of_a_sandwich_is_that_against_bricks() -> None:
     specimen = cb.read_plate(sandwich(1.0, 0.02))
-    ritz = cb.forward(specimen, n_modes=4).frequencies
-    bricks = solve_modes(specimen, reference_constants(specimen), 4, in_plane=60).frequencies
-    rule = sandwich_error(specimen, ritz)
-    assert_allclose(1.0 - ritz / bricks, rule, rtol=0.4, atol=5e-4)
+    ritz, bricks = ritz_and_bricks(specimen, 4, 60)
+    assert_allclose(1.0 - ritz / bricks, sandwich_error(specimen, ritz), rtol=0.4, atol=5e-4)
 
 
 def test_the_saved_study_of_sandwiches_is_that_of_the_rule_as_it_is() -> None:
@@ -150,20 +150,8 @@ def test_the_saved_study_of_sandwiches_is_that_of_the_rule_as_it_is() -> None:
     assert 0.7 < np.median(ratios) < 1.1
 
 
-FABRIC = {"E1_GPa": 62.0, "E2_GPa": 62.0, "nu12": 0.05, "G12_GPa": 4.2, "G13_GPa": 3.5, "G23_GPa": 3.0}
-SPRUCE = {"E1_GPa": 11.2, "E2_GPa": 0.91, "nu12": 0.51, "G12_GPa": 0.72}
-ACROSS = {"E1_GPa": 0.91, "E2_GPa": 11.2, "nu12": 0.04, "G12_GPa": 0.72, "G13_GPa": 0.1, "G23_GPa": 0.6}
-
-
-def orthotropic(
-    constants: dict[str, float],
-    size: tuple[float, float, float] = (300.0, 200.0, 4.0),
-    layup: str = "[0]",
-    edges: str = "FFFF",
-    **tables: Any,
-) -> dict[str, Any]:
-    material = {"symmetry": "orthotropic", **constants}
-    return described(size, 450.0, material, layup=layup, edges=edges, **tables)
+def orthotropic(constants: dict[str, float], size=OBLONG, **tables: Any) -> dict[str, Any]:
+    return described(size, 450.0, {"symmetry": "orthotropic", **constants}, **tables)
 
 
 def lowest(plate: dict[str, Any], n_modes: int) -> np.ndarray:
@@ -189,14 +177,7 @@ def test_a_thin_simply_supported_plate_has_the_frequencies_of_kirchhoff(constant
     assert_allclose(thin, np.sort(exact)[:5], rtol=5e-6)
 
 
-BOTH = {"E1_GPa": [5.0, 80.0], "E2_GPa": [5.0, 80.0], "nu12": [0.0, 0.3], "G12_GPa": [2.0, 8.0]}
-LISTED = {"frequencies_hz": [100.0, 200.0, 300.0, 400.0, 500.0]}
-OBLONG, SQUARE = (300.0, 200.0, 4.0), (200.0, 200.0, 3.0)
-
-
-def with_both_unknown(
-    size: tuple[float, float, float] = (300.0, 200.0, 4.0), **changes: Any
-) -> dict[str, Any]:
+def with_both_unknown(size: tuple[float, float, float] = OBLONG, **changes: Any) -> dict[str, Any]:
     return orthotropic(FABRIC, size, **{"unknowns": BOTH, "measurement": LISTED, **changes})
 
 
@@ -207,10 +188,7 @@ EXCHANGES = {
     "one known angle": (with_both_unknown(layup="[0/?]_s"), None),
     "clamped": (with_both_unknown(SQUARE, edges="CFFF"), None),
     "bounds apart": (with_both_unknown(SQUARE, unknowns=BOTH | {"E2_GPa": [1.0, 5.0]}), None),
-    "labelled": (
-        with_both_unknown(SQUARE, measurement=LISTED | {"labels": ["", "(2,0)", "", "", ""]}),
-        None,
-    ),
+    "labelled": (with_both_unknown(SQUARE, measurement=LISTED | {"labels": ["", "(2,0)", "", "", ""]}), None),
 }
 
 

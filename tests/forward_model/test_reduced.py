@@ -9,42 +9,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cpam_bayes.forward_model.build import (
-    Neighbour,
-    basis_tolerance,
-    model_key,
-    reduced_model,
-    without_matrices,
-)
-from cpam_bayes.forward_model.model import (
-    NO_PARAMETERS,
-    PlateModel,
-    angle_parameters,
-    converged_model,
-    convergence_samples,
-    plate_problem,
-    reference_vector,
-    size_parameters,
-)
-from cpam_bayes.forward_model.reduced import (
-    DEFAULT_SETTINGS,
-    ReducedModel,
-    ReductionSettings,
-    basis_error,
-    focused,
-    reduce,
-)
+from cpam_bayes.forward_model import build
+from cpam_bayes.forward_model import model as plate_model
+from cpam_bayes.forward_model.build import reduced_model
+from cpam_bayes.forward_model.model import PlateModel, converged_model, convergence_samples, plate_problem
+from cpam_bayes.forward_model.reduced import ReducedModel, ReductionSettings, basis_error, focused, reduce
 from cpam_bayes.mechanics.convergence import Tolerance, rich_frequencies
 from cpam_bayes.mechanics.problem import rigid_body_count
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Sensor, Specimen, builtin, read_plate, read_specimen
 from cpam_bayes.plate.layup import parse_layup
 from tests.hybrids import hybrid
+from tests.plates import with_plate
 
 N_DRAWS = 1000
-FIXED = ("B1", "D1")
 ANY = "C1 with unknown angles"
-cases = pytest.mark.parametrize("name", [*FIXED, pytest.param(ANY, marks=pytest.mark.slow)])
+cases = pytest.mark.parametrize("name", ["B1", "D1", pytest.param(ANY, marks=pytest.mark.slow)])
+QUICK = ReductionSettings(tolerance=1e-3, training=12, checks=4, rounds=1)
 
 
 def specimen_of(name: str) -> Specimen:
@@ -52,7 +33,7 @@ def specimen_of(name: str) -> Specimen:
 
 
 def parameters_of(specimen: Specimen) -> ParameterSet:
-    return specimen.unknowns.union(angle_parameters(specimen))
+    return specimen.unknowns.union(plate_model.angle_parameters(specimen))
 
 
 @cache
@@ -68,6 +49,10 @@ def prior_draws(model: PlateModel, n: int, seed: int) -> np.ndarray:
     return np.asarray(x[model.admissible(x)][:n])
 
 
+def size_of(model: ReducedModel) -> int:
+    return sum(block.size for block in model.fast.operator.blocks)
+
+
 @cache
 def compared(name: str) -> tuple[np.ndarray, np.ndarray]:
     """Draws from the prior, and the relative errors of frequencies there, (n_draws, n_modes)."""
@@ -79,15 +64,14 @@ def compared(name: str) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("edges", ["CFFF", "CCCC", "SSSS", "FFFF"])
 def test_sides_that_are_known_well_leave_a_thin_plate_its_frequencies(edges: str) -> None:
-    a1 = read_specimen("A1")
-    plate = replace(a1.plate, length=0.2, width=0.1, thickness=0.001, edges=edges)
-    known = replace(a1, plate=replace(plate, sd={"length": 2e-4, "width": 1e-4}))
-    parameters = size_parameters(known)
+    thin, sd = {"thickness": 0.001, "edges": edges}, {"length": 2e-4, "width": 1e-4}
+    known = with_plate("A1", length=0.2, width=0.1, sd=sd, **thin)
     x = np.array([[0.2, 0.1], [0.2, 0.1003], [0.2008, 0.1]])
-    found = reduced_model(known, parameters, 6).predict(x).frequencies
+    found = reduced_model(known, plate_model.size_parameters(known), 6).predict(x).frequencies
     for (length, width), f in zip(x, found, strict=True):
-        there = replace(a1, plate=replace(plate, length=length, width=width))
-        expected = converged_model(there, NO_PARAMETERS, 6).predict(np.empty((1, 0))).frequencies[0]
+        there = with_plate("A1", length=length, width=width, **thin)
+        there = converged_model(there, plate_model.NO_PARAMETERS, 6)
+        expected = there.predict(np.empty((1, 0))).frequencies[0]
         # two spaces, each converged to 1e-4
         np.testing.assert_allclose(f, expected, rtol=3e-4)
 
@@ -107,8 +91,8 @@ def test_error_is_below_1e_4_in_99_of_100_draws_never_below_zero_and_small_on_co
     # of errors of 1e-5, full solves that differ by rounding, 2e-9 on some processors
     np.testing.assert_allclose(basis_error(model, x[:16]), np.abs(error[:16]), atol=1e-8)
     # optima sit on bounds; corners are far from every draw of the prior
-    lower, upper = model.full.parameters.lower, model.full.parameters.upper
-    corners = np.array(list(product(*zip(lower, upper, strict=True))))
+    parameters = model.full.parameters
+    corners = np.array(list(product(*zip(parameters.lower, parameters.upper, strict=True))))
     corners = corners[model.full.admissible(corners)][:: 1 + len(corners) // 64]
     assert len(corners) >= 8
     assert basis_error(model, corners).max() < 5e-3
@@ -135,8 +119,7 @@ def test_no_mode_of_the_square_isotropic_plate_is_lost(n_modes: int) -> None:
     model = reduce(full, np.random.default_rng(0))
     x = prior_draws(full, 300, seed=5)
     exact = full.predict(x).frequencies
-    gap = np.diff(exact, axis=1) / exact[:, :-1]
-    assert gap.min() < 1e-6, "there is a pair"
+    assert (np.diff(exact, axis=1) / exact[:, :-1]).min() < 1e-6, "there is a pair"
     assert np.abs(model.predict(x).frequencies / exact - 1.0).max() < 1e-4
 
 
@@ -156,14 +139,11 @@ def test_usual_layups_are_among_the_samples_of_unknown_angles() -> None:
 @pytest.mark.slow
 def test_printed_error_of_any_layup_holds_on_the_usual_layups() -> None:
     full = reduced(ANY).full
-    parameters = full.parameters
-    x = np.tile(reference_vector(specimen_of(ANY), parameters), (6, 1))
-    x[:, -4:] = [
-        *([0, 90, 0, 90], [90, 0, 90, 0], [0, 0, 0, 0], [90, 90, 90, 90]),
-        *([45, -45, 45, -45], [0, 0, 90, 90]),
-    ]
+    x = np.tile(plate_model.reference_vector(specimen_of(ANY), full.parameters), (6, 1))
+    x[:3, -4:] = [0, 90, 0, 90], [90, 0, 90, 0], [0, 0, 0, 0]
+    x[3:, -4:] = [90, 90, 90, 90], [45, -45, 45, -45], [0, 0, 90, 90]
     tight = Tolerance(kept=1e-6, rich=2e-6, largest_degree=22)
-    exact = rich_frequencies(full.operator.problem, parameters.mapping(x), 6, tight)
+    exact = rich_frequencies(full.operator.problem, full.parameters.mapping(x), 6, tight)
     error = np.abs(full.predict(x).frequencies / exact.frequencies - 1.0)
     assert exact.error.max() < 2e-5
     assert np.all(error <= full.error + exact.error)
@@ -190,14 +170,11 @@ def test_a_tighter_tolerance_takes_a_larger_basis_and_errs_less() -> None:
     full = reduced("B1").full
     x = compared("B1")[0][:100]
     exact = full.predict(x).frequencies
-    sizes, errors = [], []
-    for tolerance in (1e-3, 1e-6):
-        settings = ReductionSettings(tolerance=tolerance)
-        model = reduce(full, np.random.default_rng(0), settings)
-        sizes.append(sum(b.size for b in model.fast.operator.blocks))
-        errors.append(np.quantile(model.predict(x).frequencies / exact - 1.0, 0.99))
-    assert sizes[0] < sizes[1]
-    assert errors[1] < 1e-5 < errors[0]
+    settings = (ReductionSettings(tolerance=tolerance) for tolerance in (1e-3, 1e-6))
+    models = [reduce(full, np.random.default_rng(0), one) for one in settings]
+    loose, tight = (np.quantile(model.predict(x).frequencies / exact - 1.0, 0.99) for model in models)
+    assert size_of(models[0]) < size_of(models[1])
+    assert tight < 1e-5 < loose
 
 
 def test_one_seed_gives_one_model() -> None:
@@ -214,16 +191,16 @@ def test_a_focused_model_errs_no_more_than_it_is_asked_for_where_it_is_made() ->
     x = x[model.full.admissible(x)]
     assert len(x) >= 10
     near = focused(model, x, 1e-4)
-    assert sum(b.size for b in near.fast.operator.blocks) < sum(b.size for b in model.fast.operator.blocks)
+    assert size_of(near) < size_of(model)
     assert (near.predict(x).frequencies / model.predict(x).frequencies - 1.0).max() <= 1e-4
 
 
 def test_the_tolerance_follows_the_least_noise_that_counts() -> None:
     listed = read_specimen("B1").measurement
 
-    def of(**changes: object) -> float:
-        given = {"relative_std": None, "resolution": 0.0, "frequency_sd": None}
-        return basis_tolerance(replace(listed, **{**given, **changes}))
+    def of(relative_std=None, resolution=0.0, frequency_sd=None) -> float:
+        given = {"relative_std": relative_std, "resolution": resolution, "frequency_sd": frequency_sd}
+        return build.basis_tolerance(replace(listed, **given))
 
     assert of(relative_std=0.004) == pytest.approx(2e-4)
     assert of() == pytest.approx(5e-5), "inferred: it may be a tenth of a per cent"
@@ -236,15 +213,12 @@ def test_the_tolerance_follows_the_least_noise_that_counts() -> None:
     assert rounded == pytest.approx(0.05 * 0.01 / np.sqrt(12.0))
 
 
-QUICK = ReductionSettings(tolerance=1e-3, training=12, checks=4, rounds=1)
-
-
 @pytest.fixture
 def b1() -> Specimen:
     return read_specimen("B1")
 
 
-def build(specimen: Specimen) -> tuple[ReducedModel, list[str]]:
+def quick(specimen: Specimen) -> tuple[ReducedModel, list[str]]:
     """A quick model of three modes, and what was said while it was made."""
     said: list[str] = []
     model = reduced_model(specimen, specimen.unknowns, 3, settings=QUICK, notify=said.append)
@@ -252,8 +226,9 @@ def build(specimen: Specimen) -> tuple[ReducedModel, list[str]]:
 
 
 def test_masses_of_translation_and_rotation_are_both_diagonal(b1: Specimen) -> None:
-    gauged = replace(b1, plate=replace(b1.plate, sd={"thickness": 0.03 * b1.plate.thickness}))
-    model = reduced_model(gauged, gauged.unknowns.union(size_parameters(gauged)), 3, settings=QUICK)
+    gauged = with_plate("B1", sd={"thickness": 0.03 * b1.plate.thickness})
+    parameters = gauged.unknowns.union(plate_model.size_parameters(gauged))
+    model = reduced_model(gauged, parameters, 3, settings=QUICK)
     of_both = [block for block in model.fast.operator.blocks if len(block.mass.stack) == 2]
     assert of_both
     assert all(block.mass.is_diagonal for block in of_both)
@@ -261,63 +236,41 @@ def test_masses_of_translation_and_rotation_are_both_diagonal(b1: Specimen) -> N
     np.testing.assert_allclose(model.predict(x).frequencies, model.full.predict(x).frequencies, rtol=3e-3)
 
 
-def test_a_process_makes_a_model_once(b1: Specimen) -> None:
-    longer = [replace(b1, plate=replace(b1.plate, length=1.01 * b1.plate.length)) for _ in range(2)]
-    (first, said), (again, silence) = map(build, longer)
+def test_a_process_makes_a_model_once_and_where_it_is_sent_it_is_the_same_bit_for_bit(b1: Specimen) -> None:
+    longer = [with_plate("B1", length=1.01 * b1.plate.length) for _ in range(2)]
+    (first, said), (again, silence) = map(quick, longer)
     assert said
     assert not silence
     assert again is first
-
-
-def test_a_model_that_is_sent_predicts_the_same_bit_for_bit(b1: Specimen) -> None:
-    built, _ = build(b1)
-    sent = pickle.dumps(without_matrices(built))
-    assert len(sent) < 0.5 * len(pickle.dumps(built))
-    x = prior_draws(built.full, 20, seed=2)
-    a, b = (m.predict(x, jacobian=True) for m in (built, pickle.loads(sent)))
+    sent = pickle.dumps(build.without_matrices(first))
+    assert len(sent) < 0.5 * len(pickle.dumps(first))
+    x = prior_draws(first.full, 20, seed=2)
+    a, b = (m.predict(x, jacobian=True) for m in (first, pickle.loads(sent)))
     np.testing.assert_array_equal(a.frequencies, b.frequencies)
     np.testing.assert_array_equal(a.jacobian, b.jacobian)
 
 
-def key(
-    specimen: Specimen,
-    n_modes: int = 6,
-    settings: ReductionSettings = DEFAULT_SETTINGS,
-    centre: np.ndarray | None = None,
-    parameters: ParameterSet | None = None,
-) -> str:
-    own = specimen.unknowns if parameters is None else parameters
-    return model_key(specimen, own, n_modes, settings, centre)
+def key(specimen: Specimen, parameters: ParameterSet | None = None, n_modes: int = 6, **changes: Any) -> str:
+    given = {"settings": ReductionSettings(), "centre": None, **changes}
+    return build.model_key(specimen, parameters or specimen.unknowns, n_modes, **given)
 
 
 def test_whatever_changes_the_model_changes_its_key(b1: Specimen) -> None:
-    plate, material = b1.plate, b1.material
-    of_plate: list[dict[str, Any]] = [
-        *({name: 1.001 * getattr(plate, name)} for name in ("length", "width", "thickness", "density")),
-        {"edges": "CFFF"},
-        {"layup": read_specimen("C1").plate.layup},
-        {"layup": b1.with_unknown_angles().plate.layup},
-    ]
+    plate, material, unknowns = b1.plate, b1.material, b1.unknowns
     changed = [
-        *(replace(b1, plate=replace(plate, **changes)) for changes in of_plate),
+        *(with_plate("B1", **{n: 1.001 * getattr(plate, n)}) for n in plate.sizes),
+        with_plate("B1", edges="CFFF"),
+        *(with_plate("B1", layup=one.plate.layup) for one in (builtin("C1"), b1.with_unknown_angles())),
         replace(b1, sensors=(Sensor(1e-3, 0.1, 0.1),)),
         replace(b1, air_density=1.2),
         replace(b1, material=replace(material, symmetry="orthotropic")),
         replace(b1, material=replace(material, constants={**material.constants, "E1": 1e11})),
     ]
-    gauged = replace(b1, plate=replace(plate, sd={"thickness": 2e-5}))
-    centre = 0.5 * (b1.unknowns.lower + b1.unknowns.upper)
-    keys = [key(b1), *(key(other) for other in changed)]
-    keys += [
-        key(b1, n_modes=7),
-        key(b1, settings=QUICK),
-        key(b1, centre=centre),
-        key(b1, parameters=b1.unknowns.without("nu12")),
-        key(b1, parameters=b1.unknowns.fix(nu12=0.23)),
-        key(b1, parameters=b1.unknowns.fix(nu12=0.24)),
-        key(b1, parameters=read_specimen("D1").unknowns),
-        key(b1, parameters=b1.unknowns.union(size_parameters(gauged))),
-    ]
+    sizes = plate_model.size_parameters(with_plate("B1", sd={"thickness": 2e-5}))
+    others = (unknowns.without("nu12"), unknowns.fix(nu12=0.23), unknowns.fix(nu12=0.24))
+    keys = [key(b1), *(key(other) for other in changed), *(key(b1, other) for other in others)]
+    keys += [key(b1, builtin("D1").unknowns), key(b1, unknowns.union(sizes)), key(b1, n_modes=7)]
+    keys += [key(b1, settings=QUICK), key(b1, centre=0.5 * (unknowns.lower + unknowns.upper))]
     # two hybrids of equal sizes, density and angles
     layups = ("[c0_2/g45/g-45/c90]_s", "[c0/g0/c45/g-45/c90]_s")
     keys += [key(read_plate(hybrid(layup=layup))) for layup in layups]
@@ -329,21 +282,17 @@ def test_whatever_changes_the_model_changes_its_key(b1: Specimen) -> None:
 def test_a_plate_of_nearly_the_same_sides_and_no_other_is_as_exact_on_the_space_of_its_neighbour() -> None:
     plate = builtin("C1")
     converged = reduced_model(plate, plate.unknowns, 8)
-    neighbour = Neighbour(plate, converged.full)
-    wider = replace(plate, plate=replace(plate.plate, width=1.03 * plate.plate.width))
+    neighbour = build.Neighbour(plate, converged.full)
+    wider = with_plate("C1", width=1.03 * plate.plate.width)
     assert neighbour.suits(wider, plate.unknowns, 8)
-    x = reference_vector(plate, plate.unknowns)[None]
+    x = plate_model.reference_vector(plate, plate.unknowns)[None]
     near = reduced_model(wider, plate.unknowns, 8, near=neighbour)
     anew = reduced_model(wider, plate.unknowns, 8)
     assert near.full.basis is converged.full.basis
     np.testing.assert_allclose(near.predict(x).frequencies, anew.predict(x).frequencies, rtol=3e-4)
     assert reduced_model(wider, plate.unknowns, 8, near=neighbour) is anew
-    others = (
-        replace(plate.plate, width=1.2 * plate.plate.width),
-        replace(plate.plate, edges="CFFF"),
-        replace(plate.plate, layup=parse_layup("[0/90]_4s")),
-    )
-    assert not any(neighbour.suits(replace(plate, plate=of), plate.unknowns, 8) for of in others)
+    others = {"width": 1.2 * plate.plate.width}, {"edges": "CFFF"}, {"layup": parse_layup("[0/90]_4s")}
+    assert not any(neighbour.suits(with_plate("C1", **one), plate.unknowns, 8) for one in others)
     assert not neighbour.suits(plate, plate.unknowns, 9)
     # a mass on the plate asks for functions that the bare plate has no use for
     assert not neighbour.suits(replace(plate, sensors=(Sensor(1e-3, 0.1, 0.1),)), plate.unknowns, 8)

@@ -10,7 +10,7 @@ from cpam_bayes.mechanics.convergence import Tolerance
 from cpam_bayes.mechanics.dense import discretise_at
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import Problem, Region
-from cpam_bayes.mechanics.ritz import Quadrature, RitzSettings, RitzSpace, ritz_space
+from cpam_bayes.mechanics.ritz import Quadrature, RitzSettings, ritz_space
 from cpam_bayes.plate import read_specimen
 from cpam_bayes.plate.edges import FIELDS
 from cpam_bayes.plate.laminate import ENERGY_CONSISTENT
@@ -18,6 +18,15 @@ from tests.mechanics.test_problem import by_quadrature
 from tests.plates import CARBON, CROSS_PLY_16S, frequencies, navier, plate
 
 TIGHT = Tolerance(kept=1e-6, rich=1e-6)
+LEISSA = {
+    "FFFF": [13.468, 19.596, 24.270, 34.801, 34.801, 61.093],
+    "CFFF": [3.4711, 8.5062, 21.284, 27.199, 30.955, 54.187],
+}
+TABLE_1 = {
+    "ABAQUS": [160.0, 233.1, 297.3, 412.6, 412.6, 741.8],
+    "ANSYS": [161.2, 231.9, 294.6, 413.7, 413.7, 728.6],
+    "Rayleigh-Ritz": [163.2, 237.6, 299.9, 424.3, 424.3, 749.4],
+}
 
 
 def navier_of(problem: Problem, n_modes: int) -> np.ndarray:
@@ -29,27 +38,14 @@ def navier_of(problem: Problem, n_modes: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("layup", "thickness"),
-    [
-        ((0.0,), 0.001),
-        ((0.0,), 0.02),
-        (CROSS_PLY_16S, 0.0032),
-        (CROSS_PLY_16S, 0.03),
-        ((0.0, 90.0), 0.004),
-        ((0.0, 90.0), 0.03),
-    ],
-    ids=["orthotropic-thin", "orthotropic-thick", "cross-thin", "cross-thick", "B-thin", "B-thick"],
+    ("layup", "thin", "thick"),
+    [((0.0,), 0.001, 0.02), (CROSS_PLY_16S, 0.0032, 0.03), ((0.0, 90.0), 0.004, 0.03)],
+    ids=["orthotropic", "cross", "unsymmetric"],
 )
-def test_simply_supported_plate_matches_navier(layup: tuple[float, ...], thickness: float) -> None:
-    # in the thick cases in-plane modes are among the first 20
-    problem = plate(0.3, 0.2, thickness, 1600.0, CARBON, layup, "SSSS", ENERGY_CONSISTENT)
-    np.testing.assert_allclose(frequencies(problem, 20, TIGHT), navier_of(problem, 20), rtol=2e-6)
-
-
-LEISSA = {
-    "FFFF": [13.468, 19.596, 24.270, 34.801, 34.801, 61.093],
-    "CFFF": [3.4711, 8.5062, 21.284, 27.199, 30.955, 54.187],
-}
+def test_simply_supported_plate_matches_navier(layup: tuple[float, ...], thin: float, thick: float) -> None:
+    for thickness in (thin, thick):  # thick, in-plane modes are among the first 20
+        problem = plate(0.3, 0.2, thickness, 1600.0, CARBON, layup, "SSSS", ENERGY_CONSISTENT)
+        np.testing.assert_allclose(frequencies(problem, 20, TIGHT), navier_of(problem, 20), rtol=2e-6)
 
 
 @pytest.mark.parametrize("edges", LEISSA)
@@ -68,12 +64,6 @@ def test_isotropic_square_tends_linearly_in_h_to_leissa(edges: str) -> None:
     assert np.all(thick < thin), "shear deformation lowers every frequency"
 
 
-def solved(problem: Problem, space: RitzSpace, n_modes: int) -> np.ndarray:
-    """Frequencies on a fixed basis, (n_modes,) Hz."""
-    operator = discretise_at(problem, space, {})
-    return np.asarray(solve(operator, np.eye(1), np.eye(1), n_modes).frequencies[0])
-
-
 @pytest.mark.parametrize("place", [(0.0, 0.0), (0.3, 0.2), (0.11, 0.07)])
 def test_a_mass_is_a_rank_one_change_for_each_direction_of_motion(place: tuple[float, float]) -> None:
     mass, thickness, n = 0.05, 0.02, 8
@@ -88,16 +78,13 @@ def test_a_mass_is_a_rank_one_change_for_each_direction_of_motion(place: tuple[f
     scale = 1.0 / np.sqrt(np.diagonal(m))
     lam = scipy.linalg.eigh(k * scale[:, None] * scale, m * scale[:, None] * scale, eigvals_only=True)
     expected = np.sqrt(lam[6 : 6 + n]) / (2 * np.pi)
+    found, without = (
+        solve(discretise_at(problem, space, {}), np.eye(1), np.eye(1), n).frequencies[0]
+        for problem in (add_known_mass(bare, mass, *place), bare)
+    )
     # rigid-body motions carry 1e-16 of the largest eigenvalue, 1e-8 of the first
-    np.testing.assert_allclose(solved(add_known_mass(bare, mass, *place), space, n), expected, rtol=1e-7)
-    assert np.min(expected / solved(bare, space, n)) < 0.999, "the mass is felt"
-
-
-TABLE_1 = {
-    "ABAQUS": [160.0, 233.1, 297.3, 412.6, 412.6, 741.8],
-    "ANSYS": [161.2, 231.9, 294.6, 413.7, 413.7, 728.6],
-    "Rayleigh-Ritz": [163.2, 237.6, 299.9, 424.3, 424.3, 749.4],
-}
+    np.testing.assert_allclose(found, expected, rtol=1e-7)
+    assert np.min(expected / without) < 0.999, "the mass is felt"
 
 
 def test_aluminium_plate_of_table_1_lies_within_the_published_solutions() -> None:

@@ -14,10 +14,10 @@ from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import Problem
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.plate.reader import builtin
+from tests.plates import with_plate
 from tests.shared import once_a_run
 
 N_MODES, N_SETS = 8, 4
-EDGES = ("FFFF", "CFFF", "SSSS", "CCCC")
 # Of the plate's mass, at fractions of its sides: light near a corner, heavy, several, two on a centre line.
 MASSES = {
     "light": ((0.01, 0.95, 0.925),),
@@ -25,15 +25,12 @@ MASSES = {
     "several": ((0.02, 0.2, 0.3), (0.05, 0.7, 0.6), (0.01, 0.72, 0.6)),
     "centred": ((0.03, 0.5, 0.3), (0.02, 0.5, 0.8)),
 }
-every_edge = pytest.mark.parametrize("edges", EDGES)
-every_mass = pytest.mark.parametrize("masses", MASSES)
 
 
 def problem_of(edges: str, masses: str, *, air: bool = False) -> Problem:
     """C1 with other edges and masses, its constants and its thickness open."""
-    one = builtin("C1")
-    one = replace(one, plate=replace(one.plate, edges=edges, sd={"thickness": 0.02 * one.plate.thickness}))
-    plate = one.plate
+    plate = builtin("C1").plate
+    one = with_plate("C1", edges=edges, sd={"thickness": 0.02 * plate.thickness})
     problem = plate_problem(one, one.unknowns.union(size_parameters(one)))
     for share, x, y in MASSES.get(masses, ()):
         whole = plate.density * plate.thickness * plate.area
@@ -55,17 +52,16 @@ def model_of(edges: str, masses: str, air: bool = False) -> PlateModel:
 
 
 def with_all_matrices(model: PlateModel) -> PlateModel:
-    operator = model.operator
-    blocks = tuple(block.dense() for block in operator.blocks)
-    return replace(model, operator=AffineOperator(operator.problem, operator.space, blocks))
+    blocks = tuple(block.dense() for block in model.operator.blocks)
+    return replace(model, operator=AffineOperator(model.operator.problem, model.operator.space, blocks))
 
 
 def loaded_blocks_of(model: PlateModel) -> list[LoadedBlock]:
     return [block for block in model.operator.blocks if isinstance(block, LoadedBlock)]
 
 
-@every_edge
-@every_mass
+@pytest.mark.parametrize("edges", ["FFFF", "CFFF", "SSSS", "CCCC"])
+@pytest.mark.parametrize("masses", MASSES)
 def test_frequencies_and_derivatives_are_those_of_all_matrices(edges: str, masses: str) -> None:
     model = model_of(edges, masses)
     assert loaded_blocks_of(model), "masses join symmetries here"
@@ -98,11 +94,9 @@ def test_fewer_terms_and_functions_and_a_basis_leave_the_same_matrices() -> None
     fewer = block.compressed(*coefficients)
     assert len(fewer.project(basis).mass.active) < len(small.mass.active)
     for other in (small, fewer.project(basis), block.compressed(*coefficients).dense().project(basis)):
-        for a, b, c in zip(
-            (other.stiffness, other.mass), (of_all.stiffness, of_all.mass), coefficients, strict=True
-        ):
-            expected = b.assemble(c)
-            np.testing.assert_allclose(a.assemble(c), expected, atol=1e-9 * np.abs(expected).max())
+        for kind, c in zip(("stiffness", "mass"), coefficients, strict=True):
+            found, expected = (getattr(one, kind).assemble(c) for one in (other, of_all))
+            np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
     for found, expected in zip(block.diagonals(), block.dense().diagonals(), strict=True):
         np.testing.assert_allclose(found, expected)
     keep = rng.uniform(size=sum(b.size for b in model.operator.blocks)) < 0.9

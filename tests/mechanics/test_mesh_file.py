@@ -13,72 +13,10 @@ from tests.meshes import Quads, grid, rectangle
 MM = (1 / 40.0, 1 / 20.0)  # a plate of 40 x 20
 EDGES = ("x0", "y0", "x1", "y1")
 FOUR = rectangle(40.0, 20.0, 2, 2)
+INNER, METRES = replace(FOUR, lines={"x0": np.array([[1, 4]])}), replace(FOUR, points=1e-3 * FOUR.points)
 
-# As Gmsh 4.15 writes a 40 x 20 rectangle of two cells with named sides.
-GMSH_41 = """$MeshFormat
-4.1 0 8
-$EndMeshFormat
-$PhysicalNames
-5
-1 1 "y0"
-1 2 "x1"
-1 3 "y1"
-1 4 "x0"
-2 5 "plate"
-$EndPhysicalNames
-$Entities
-4 4 1 0
-1 0 0 0 0
-2 40 0 0 0
-3 40 20 0 0
-4 0 20 0 0
-1 0 0 0 40 0 0 1 1 2 1 -2
-2 40 0 0 40 20 0 1 2 2 2 -3
-3 0 20 0 40 20 0 1 3 2 3 -4
-4 0 0 0 0 20 0 1 4 2 4 -1
-1 0 0 0 40 20 0 1 5 4 1 2 3 4
-$EndEntities
-$Nodes
-9 6 1 6
-0 1 0 1
-1
-0 0 0
-0 2 0 1
-2
-40 0 0
-0 3 0 1
-3
-40 20 0
-0 4 0 1
-4
-0 20 0
-1 1 0 1
-5
-20 0 0
-1 2 0 0
-1 3 0 1
-6
-20 20 0
-1 4 0 0
-2 1 0 0
-$EndNodes
-$Elements
-5 8 1 8
-1 1 1 2
-1 1 5
-2 5 2
-1 2 1 1
-3 2 3
-1 3 1 2
-4 3 6
-5 6 4
-1 4 1 1
-6 4 1
-2 1 3 2
-7 1 5 6 4
-8 5 2 3 6
-$EndElements
-"""
+# A 40 x 20 rectangle of two cells with named sides, as Gmsh 4.15 writes it.
+GMSH_41 = Path(__file__).with_name("rectangle_41.msh").read_text("utf-8")
 
 
 def test_format_41_with_its_named_sides_is_read(tmp_path: Path) -> None:
@@ -95,7 +33,7 @@ def test_format_41_with_its_named_sides_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize("binary", [False, True], ids=["text", "binary"])
 @pytest.mark.parametrize("nodes", [4, 8, 9])
 def test_cells_of_4_8_and_9_nodes_are_read_and_clockwise_ones_turned(
-    tmp_path: Path, nodes: int, binary: bool
+    tmp_path, nodes: int, binary: bool
 ) -> None:
     quads = rectangle(40.0, 20.0, 3, 2, order=1 if nodes == 4 else 2)
     cells = quads.cells[:, :nodes].copy()
@@ -148,17 +86,11 @@ NO_PLATE = {
     "bow-tie": (replace(FOUR, cells=FOUR.cells[:, [0, 2, 1, 3]]), "4 cells are folded"),
     "overlapping": (_overlapping(), "cells overlap"),
     "middles": (_unshared_middles(), "neighbours must share the nodes in the middle"),
-    "inner line": (
-        replace(FOUR, lines={"x0": np.array([[1, 4]])}),
-        r"1 of 1 lines of 'x0' are no sides of the plate's boundary",
-    ),
+    "inner line": (INNER, r"1 of 1 lines of 'x0' are no sides of the plate's boundary"),
     "missing edge": (FOUR.without("y0"), r"\['y0'\] are held.*\['x0', 'x1', 'y1'\]"),
     "not flat": (_moved(20.0, 10.0, 3.0), "z varies by 3; accepted: a flat plate"),
     "nan": (_moved(np.nan, 10.0, 0.0), "not finite"),
-    "metres": (
-        replace(FOUR, points=1e-3 * FOUR.points),
-        r"extends over 0.04 x 0.02, the plate over 40 x 20 in the same unit",
-    ),
+    "metres": (METRES, r"extends over 0.04 x 0.02, the plate over 40 x 20 in the same unit"),
     "inches": (replace(FOUR, points=25.4 * FOUR.points), "check the mesh's unit"),
 }
 
@@ -210,18 +142,15 @@ def test_other_cells_and_damaged_files_are_refused(tmp_path: Path, content: str,
         read_mesh(path, MM, ())
 
 
-def test_a_missing_file_and_a_directory_are_refused(tmp_path: Path) -> None:
+def test_a_missing_file_a_directory_and_a_missing_meshio_are_said(tmp_path: Path, monkeypatch) -> None:
+    path = tmp_path / "plate.msh"
     with pytest.raises(ValueError, match=r"plate.msh: No such file"):
-        read_mesh(tmp_path / "plate.msh", MM, ())
+        read_mesh(path, MM, ())
     with pytest.raises(ValueError, match="directory"):
         read_mesh(tmp_path, MM, ())
-
-
-def test_a_missing_meshio_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = FOUR.write(tmp_path / "plate.msh")
     monkeypatch.setitem(sys.modules, "meshio", None)
     with pytest.raises(ValueError, match="needs meshio; install it with the extra 'mesh'"):
-        read_mesh(path, MM, ())
+        read_mesh(FOUR.write(path), MM, ())
 
 
 def test_a_hole_is_boundary_too(tmp_path: Path) -> None:

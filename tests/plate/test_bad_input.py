@@ -3,6 +3,7 @@
 import pickle
 import re
 import tomllib
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -10,6 +11,26 @@ import pytest
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate import parse_specimen, schema
 from tests.plate_file import BAR
+
+LIST = "[80.2, 146.3, 218.6, 275.1]"
+PLY = "E1_GPa = 132.0\nE2_GPa = 9.1\nnu12 = 0.31\nG12_GPa = 4.8\n"
+# what stands in the good file, and what a user writes for it: the same plate
+FREE = ['"free"', '"Frei"', '"ffff"', '"F F F F"', '"F-F-F-F"', '"FFFF "', '"all edges free"']
+ORTHOTROPIC = 'symmetry = "orthotropic"\nE1_GPa = 3\nE2_GPa = 1\nG12_GPa = 1\n'
+MATERIALS = [
+    ("isotropic = true\nE1_GPa = 69\nnu12 = 0.5\n", "-1 < nu12 < 0.5"),
+    ("isotropic = true\nE1_GPa = 69\nnu12 = 0.3\n[unknowns]\nnu12 = [0.6, 0.7]\n", "no physical const"),
+    ("E1_GPa = 69\nnu12 = 0.3\n", "material.symmetry: missing"),
+    (f"{ORTHOTROPIC}nu12 = -1.8\n", "material.nu12: impossible constants"),
+    (f"{ORTHOTROPIC}nu12 = 1.8\n", "|nu12| < sqrt(E1/E2), a positive definite stiffness"),
+]
+TOO_MANY = {
+    "received 10000, accepted: at most 100 tables": "[[sensor]]\nmass_g = 'x'\n" * 10_000,
+    "received 100000, accepted: a list of 1 to 100 frequencies, ascending": (
+        f"[measurement]\nfrequencies_hz = [{'-1, ' * 100_000}]"
+    ),
+}
+LONG_KEY = ".".join("a" * 50_000)
 
 
 def problems_of(text, directory=None):
@@ -51,12 +72,7 @@ SPOILT = [
     ("relative_std = 0.005", "relative_std = 0.0", "measurement.relative_std", "fraction"),
     ("complete = false", "complete = false\nmissed_probability = 1.0", None, "above 0 and below 1"),
     ("complete = false", "complete = false\nfalse_peaks = -1", "measurement.false_peaks", "0 or above"),
-    (
-        "complete = false",
-        "false_peaks = 0.5",
-        "measurement.false_peaks",
-        "list, received 0.5, accepted: com",
-    ),
+    ("complete = false", "false_peaks = 0.5", "measurement.false_peaks", "list, received 0.5, accepted: com"),
     ("complete = false", "left_out = [7]", "measurement.left_out", "received 7, accepted: 1 to 6"),
     ("complete = false", "left_out = [1, 2, 3, 4, 5, 6]", "measurement.left_out", "at least one is left"),
     ("complete = false", "left_out = [0]", "measurement.left_out item 1", "out of range"),
@@ -141,44 +157,35 @@ y_mm = 220.0
 frequencies_hz = [80.2, 146.3, 218.6, 275.1]
 relative_std = 0.002
 """
-LIST = "[80.2, 146.3, 218.6, 275.1]"
 
-# (what stands in the good file, what a user writes): the same plate
+WRITTEN = {
+    'layup = "[0/90]_2s"': ["[0, 90, 0, 90, 90, 0, 90, 0]"],
+    'edges = "FFFF"': [*FREE, '["free", "free", "free", "free"]'],
+    "length_mm = 310.0": ['"310"', '"310 mm"', '"0,31 m"'],
+    "thickness_mm = 3.1": ['"0,31 cm"'],
+    "mass_g = 340.7": ['"0,3407 kg"', "'340.7g'"],
+    "E1_GPa = 132.0": ['"132000 MPa"'],
+    "E1_GPa = [60.0, 250.0]": ['["60 GPa", "250 GPa"]'],
+    f"frequencies_hz = {LIST}": [
+        *('"80,2 146,3 218,6 275,1"', '"80.2; 146.3; 218.6; 275.1"', '"80.2, 146.3, 218.6, 275.1"'),
+        '["0.0802 kHz", 146.3, 218.6, 275.1]',
+    ],
+    "relative_std = 0.002": ['"0.2 %"'],
+    "air_density_kg_m3 = 1.2": ['"1,2 kg/m\u00b3"'],
+}
 UNDERSTOOD = [
-    ('layup = "[0/90]_2s"', "layup = [0, 90, 0, 90, 90, 0, 90, 0]"),
-    ('edges = "FFFF"', 'edges = "free"'),
-    ('edges = "FFFF"', 'edges = "Frei"'),
-    ('edges = "FFFF"', 'edges = "ffff"'),
-    ('edges = "FFFF"', 'edges = "F F F F"'),
-    ('edges = "FFFF"', 'edges = "F-F-F-F"'),
-    ('edges = "FFFF"', 'edges = ["free", "free", "free", "free"]'),
-    ("length_mm = 310.0", 'length_mm = "310"'),
-    ("length_mm = 310.0", 'length_mm = "310 mm"'),
-    ("length_mm = 310.0", 'length_mm = "0,31 m"'),
-    ("mass_g = 340.7", 'mass_g = "0,3407 kg"'),
-    ("E1_GPa = 132.0", 'E1_GPa = "132000 MPa"'),
-    ("E1_GPa = [60.0, 250.0]", 'E1_GPa = ["60 GPa", "250 GPa"]'),
-    ("frequencies_hz = [80.2, 146.3, 218.6, 275.1]", 'frequencies_hz = "80,2 146,3 218,6 275,1"'),
-    ("frequencies_hz = [80.2, 146.3, 218.6, 275.1]", 'frequencies_hz = "80.2; 146.3; 218.6; 275.1"'),
-    ("frequencies_hz = [80.2,", 'frequencies_hz = ["0.0802 kHz",'),
-    ("relative_std = 0.002", 'relative_std = "0.2 %"'),
-    ("air_density_kg_m3 = 1.2", 'air_density_kg_m3 = "1,2 kg/m\u00b3"'),
-    ('edges = "FFFF"', 'edges = "FFFF "'),
-    ('edges = "FFFF"', 'edges = "all edges free"'),
-    ("mass_g = 340.7", "mass_g = '340.7g'"),
-    ("thickness_mm = 3.1", 'thickness_mm = "0,31 cm"'),
-    (f"frequencies_hz = {LIST}", 'frequencies_hz = "80.2, 146.3, 218.6, 275.1"'),
+    (good, f"{good.split()[0]} = {value}") for good, written in WRITTEN.items() for value in written
 ]
 
 # the same, and what the one message must hold
 REFUSED = [
-    ("[80.2, 146.3, 218.6, 275.1]", "[80,2, 146,3, 218, 275,1]", "decimal commas?"),
+    (LIST, "[80,2, 146,3, 218, 275,1]", "decimal commas?"),
     ("nu12 = 0.31", "nu12=[0,15, 0,45]", "0,15 is two numbers"),
     ('name = "panel"', "date = 5.3.2026", 'a date stands in quotes: "5.3.2026"'),
     (LIST, "[80.2 Hz, 146.3 Hz]", "the unit is in the key: 80.2, not 80.2 Hz"),
-    ("[80.2, 146.3, 218.6, 275.1]", "[275.1, 218.6, 146.3, 80.2]", "the other way round"),
-    ("[80.2, 146.3, 218.6, 275.1]", "[80.2, 1463, 218.6, 275.1]", "1463 lost its decimal comma? 146.3 would"),
-    ("[80.2, 146.3, 218.6, 275.1]", "[80.2 146.3 218.6]", "the numbers of a list: 80.2, 146.3"),
+    (LIST, "[275.1, 218.6, 146.3, 80.2]", "the other way round"),
+    (LIST, "[80.2, 1463, 218.6, 275.1]", "1463 lost its decimal comma? 146.3 would"),
+    (LIST, "[80.2 146.3 218.6]", "the numbers of a list: 80.2, 146.3"),
     ("length_mm = 310.0", "length_mm = 281,5", "a decimal point, not a comma"),
     ("length_mm = 310.0", "length_mm = 310 mm", "the unit is in the key"),
     ("length_mm = 310.0", 'length_mm = "1,310"', "no mark between thousands"),
@@ -222,11 +229,10 @@ REFUSED = [
     ("thickness_mm = 3.1", "thickness_mm = .31", "a digit on each side of a point"),
     ("thickness_mm = 3.1", "thickness_mm = 3.1 // gauged", "# begins a comment"),
     ("mass_g = 340.7", "density_g_cm3 = 1.6", "the nearest known key is density_kg_m3"),
-    (
-        "E1_GPa = 132.0\nE2_GPa = 9.1\nnu12 = 0.31\nG12_GPa = 4.8",
-        "E1_GPa = 132e9\nE2_GPa = 9.1e9\nnu12 = 0.31\nG12_GPa = 4.8e9",
-        "1.32e+11 Pa are 132 GPa",
-    ),
+    (PLY, "E1_GPa = 132e9\nE2_GPa = 9.1e9\nnu12 = 0.31\nG12_GPa = 4.8e9\n", "1.32e+11 Pa are 132 GPa"),
+    ("mass_g = 340.7\n", "", "plate.toml:2: plate: density, received neither"),
+    (f"[material]\n{PLY}", "", "material: missing, accepted: a table [material]"),
+    (GOOD[GOOD.index("[plate]") : GOOD.index("[material]")], "", "plate: missing, accepted: a table [plate]"),
     ("[60.0, 250.0]", '"60-250"', "accepted: [lower, upper]"),
     ("[60.0, 250.0]", "[60,0, 250,0]", "are these decimal commas?"),
     ("x_mm = 300.0\ny_mm = 220.0", "x_mm = 3000\ny_mm = 2200", "outside the plate, received 3000"),
@@ -261,11 +267,6 @@ def test_what_can_mean_one_thing_is_understood(good: str, written: str) -> None:
     assert found.unknowns["E1"].prior == meant.unknowns["E1"].prior
 
 
-def test_two_entries_in_the_wrong_order_lost_no_comma_where_they_have_a_point(tmp_path) -> None:
-    problem = one_problem(GOOD.replace(LIST, "[20.2, 403.6, 347.8, 475.1]", 1), tmp_path)
-    assert problem.endswith("accepted: ascending, equal ones for a degenerate pair")
-
-
 @pytest.mark.parametrize(("good", "written", "said"), REFUSED, ids=[written for _, written, _ in REFUSED])
 def test_a_slip_is_one_message_with_its_cure(tmp_path, good: str, written: str, said: str) -> None:
     assert good in GOOD
@@ -276,20 +277,12 @@ def test_a_slip_is_one_message_with_its_cure(tmp_path, good: str, written: str, 
     assert len(problem) < 600
 
 
-def test_no_cure_has_a_part_of_a_number() -> None:
+def test_no_cure_has_a_part_of_a_number_and_entries_with_a_point_lost_no_comma() -> None:
     problem = one_problem(GOOD.replace(LIST, "[80,5,2 146,3]"))
     assert "not valid TOML" in problem
     assert "2, 146" not in problem
-
-
-ORTHOTROPIC = 'symmetry = "orthotropic"\nE1_GPa = 3\nE2_GPa = 1\nG12_GPa = 1\n'
-MATERIALS = [
-    ("isotropic = true\nE1_GPa = 69\nnu12 = 0.5\n", "-1 < nu12 < 0.5"),
-    ("isotropic = true\nE1_GPa = 69\nnu12 = 0.3\n[unknowns]\nnu12 = [0.6, 0.7]\n", "no physical const"),
-    ("E1_GPa = 69\nnu12 = 0.3\n", "material.symmetry: missing"),
-    (f"{ORTHOTROPIC}nu12 = -1.8\n", "material.nu12: impossible constants"),
-    (f"{ORTHOTROPIC}nu12 = 1.8\n", "|nu12| < sqrt(E1/E2), a positive definite stiffness"),
-]
+    problem = one_problem(GOOD.replace(LIST, "[20.2, 403.6, 347.8, 475.1]"))
+    assert problem.endswith("accepted: ascending, equal ones for a degenerate pair")
 
 
 @pytest.mark.parametrize(("tables", "said"), MATERIALS)
@@ -316,18 +309,12 @@ def test_all_errors_of_a_file_come_at_once_in_the_order_of_their_lines(full_text
     assert str(caught.value) == "\n".join(problems)
     assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
     assert not any("no physical constants" in problem for problem in problems)
-    keys = [re.match(r"plate\.toml:\d+: ([^:]+):", problem).group(1) for problem in problems]
-    assert keys == [
-        "plate.width_mm",
-        "plate.layup",
-        "plate.sd.thicknes_mm",
-        "material.E1_GPa",
-        "unknowns.E1_GPa",
-        "measurement.frequencies_hz item 3",
-        "measurement.labels",
-    ]
-    lines = [int(problem.split(":")[1]) for problem in problems]
-    assert lines == sorted(lines)
+    lines, keys = zip(*(re.match(r"plate\.toml:(\d+): ([^:]+):", p).groups() for p in problems), strict=True)
+    assert ", ".join(keys) == (
+        "plate.width_mm, plate.layup, plate.sd.thicknes_mm, material.E1_GPa, unknowns.E1_GPa, "
+        "measurement.frequencies_hz item 3, measurement.labels"
+    )
+    assert list(lines) == sorted(lines, key=int)
 
 
 def test_an_isotropic_plate_has_two_constants():
@@ -337,45 +324,20 @@ def test_an_isotropic_plate_has_two_constants():
         assert "E1_GPa and nu12 only" in problem
 
 
-@pytest.mark.parametrize("missing", ["plate", "material"])
-def test_a_missing_table_is_one_problem(full_text, missing):
-    body = re.sub(rf"\[{missing}(\.sd)?\]\n([^\[].*\n)+", "", full_text)
-    assert f"{missing}: missing, accepted: a table [{missing}]" in one_problem(body)
-
-
-def test_a_plate_without_density_and_mass_is_refused():
-    assert one_problem(BAR.replace("density_kg_m3 = 2700\n", "")).startswith(
-        "plate.toml:2: plate: density, received neither"
-    )
-
-
 def test_only_the_problems_that_are_shown_are_put_in_words(monkeypatch):
-    asked = []
-    nearest = schema.difflib.get_close_matches
-    monkeypatch.setattr(
-        schema.difflib, "get_close_matches", lambda *a, **k: asked.append(a) or nearest(*a, **k)
-    )
+    nearest = Mock(wraps=schema.difflib.get_close_matches)
+    monkeypatch.setattr(schema.difflib, "get_close_matches", nearest)
     problems = problems_of("".join(f"key{i} = 1\n" for i in range(20_000)))
     assert len(problems) == 101
     assert "more problems" in problems[-1]
-    assert 0 < len(asked) <= 100
+    assert 0 < nearest.call_count <= 100
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("[[sensor]]\nmass_g = 'x'\n" * 10_000, "too many, received 10000, accepted: at most 100 tables"),
-        (
-            f"[measurement]\nfrequencies_hz = [{'-1, ' * 100_000}]",
-            "too many, received 100000, accepted: a list of 1 to 100 frequencies, ascending",
-        ),
-    ],
-    ids=["sensors", "frequencies"],
-)
-def test_too_many_of_a_kind_are_one_problem(text, said):
-    found = [problem for problem in problems_of(text) if "too many" in problem]
-    assert [said in problem for problem in found] == [True]
-    assert len(problems_of(text)) < 6  # what is missing beside it
+@pytest.mark.parametrize("said", TOO_MANY)
+def test_too_many_of_a_kind_are_one_problem(said):
+    problems = problems_of(TOO_MANY[said])
+    assert [f"too many, {said}" in problem for problem in problems if "too many" in problem] == [True]
+    assert len(problems) < 6  # what is missing beside it
 
 
 def test_sensors_heavier_than_the_plate_are_refused_with_its_mass(full_text):
@@ -387,29 +349,23 @@ def test_sensors_heavier_than_the_plate_are_refused_with_its_mass(full_text):
 
 
 def test_received_values_are_shown_short_and_printable(full_text):
-    for old, new in (
-        ("CFSF", "F" * 100_000),
-        ("CFSF", "\\u001b[31m"),
-        ("[unknowns]", '[unknowns]\n"\\u001b[31m" = 1'),
-    ):
+    red = "\\u001b[31m"
+    for old, new in (("CFSF", "F" * 100_000), ("CFSF", red), ("[unknowns]", f'[unknowns]\n"{red}" = 1')):
         problem = one_problem(full_text.replace(old, new))
         assert len(problem) < 400
         assert "\x1b" not in problem
 
 
-LONG_KEY = ".".join("a" * 50_000)
-
-
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        ("a = 1\nb = = 2\n", 2),
-        ('a = "\x1b"\n', 1),
-        ("a = 1\n\nb = [1, 2\n", 3),
-        ("x = 1" + "0" * 5000, 1),
-        ("a = " + "[" * 100_000, 1),
-        (f"{LONG_KEY} = 1", 1),
-        (f"b = 1\nx = {{{LONG_KEY} = 1}}", 2),
+        *(
+            ("a = 1\nb = = 2\n", 2),
+            ('a = "\x1b"\n', 1),
+            ("a = 1\n\nb = [1, 2\n", 3),
+            ("x = 1" + "0" * 5000, 1),
+        ),
+        *(("a = " + "[" * 100_000, 1), (f"{LONG_KEY} = 1", 1), (f"b = 1\nx = {{{LONG_KEY} = 1}}", 2)),
     ],
     ids=lambda given: f"{given!r:.20}",
 )

@@ -11,6 +11,7 @@ GLASS = {"C3", "C4", "D3", "D4", "F2", "G2"}
 THICK = {"D1", "D2", "D3", "D4", "G1", "G2"}
 CLAMPED = {"A2": 0.28, "D3": 0.06, "D4": 0.06, "G2": 0.06}  # the width, along the clamped edge
 TABULATED = [name for name in builtin_names() if name != "D&G"]
+SLIPS = {"C1": ["[(0/90)_8]_8"], "B1": ["40 plies"], "D1": ["1029", "3.6"], "C3": ["5 GPa"], "A2": ["28"]}
 
 
 def numbers(row: PrintedRow) -> list[float]:
@@ -18,8 +19,7 @@ def numbers(row: PrintedRow) -> list[float]:
 
 
 def test_the_names_are_the_papers_and_another_one_is_refused_with_them():
-    names = "D&G A1 A2 B1 B2 C1 C2 C3 C4 D1 D2 D3 D4 F1 F2 G1 G2"
-    assert " ".join(builtin_names()) == names
+    assert " ".join(builtin_names()) == "D&G A1 A2 B1 B2 C1 C2 C3 C4 D1 D2 D3 D4 F1 F2 G1 G2"
     with pytest.raises(ValueError, match=r"E9.*accepted.*C1"):
         builtin("E9")
 
@@ -107,9 +107,6 @@ def test_sequence_takes_the_unknown_angles_of_table_9b(name):
         assert layup.unknown_index.min() == 0
     # the true angles give back the known layup
     assert layup.angles(known.angles_deg[:expected]).tolist() == known.angles_deg.tolist()
-
-
-SLIPS = {"C1": ["[(0/90)_8]_8"], "B1": ["40 plies"], "D1": ["1029", "3.6"], "C3": ["5 GPa"], "A2": ["28"]}
 
 
 @pytest.mark.parametrize(("name", "slips"), [*SLIPS.items(), ("D&G", ["28 GPa"])])

@@ -25,6 +25,16 @@ from validation.recorded_hits import RATE, Faults, recorded_hits
 PAGE = (Path(__file__).parents[2] / "docs" / "plate_file.md").read_text(encoding="utf-8")
 TOP, PRIOR = "The top of the file", "{ mean, sd, bounds }"
 UNITS = {"mm": "mm", "g": "g", "m3": "kg/m³", "GPa": "GPa", "hz": "Hz", "deg": "°"}
+# All values that a standard deviation may belong to.
+FILE = described(
+    (310.0, 228.0, 3.1),
+    1555.0,
+    {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8, "G13_GPa": 4.8, "G23_GPa": 3.2},
+    layup="[(0/90)_8]_s",
+    unknowns={"nu12": {"mean": 0.31, "sd": 0.03, "bounds": [0.15, 0.45]}},
+    sensor=[{"mass_g": 1.0, "x_mm": 10.0, "y_mm": 10.0}],
+    measurement={"frequencies_hz": [80.2, 146.3, 218.6]},
+)
 
 
 def parts(annotation: Any) -> Iterator[Any]:
@@ -32,8 +42,6 @@ def parts(annotation: Any) -> Iterator[Any]:
     yield annotation
     if get_origin(annotation) in (Union, UnionType, Annotated, list):
         for part in get_args(annotation):
-            if isinstance(part, FieldInfo):
-                continue
             yield from parts(part)
 
 
@@ -43,14 +51,11 @@ def tables(model: type[BaseModel], heading: str) -> dict[str, dict[str, FieldInf
     for key, field in model.model_fields.items():
         inside = list(parts(field.annotation))
         models = [part for part in inside if isinstance(part, type) and issubclass(part, BaseModel)]
-        path = key if heading == TOP else f"{heading[1:-1]}.{key}"
-        is_list = any(get_origin(part) is list for part in inside)
+        own = f"[{key if heading == TOP else f'{heading[1:-1]}.{key}'}]"
+        own = PRIOR if heading == "[unknowns]" else f"[{own}]" if list in map(get_origin, inside) else own
         for inner in models:
-            if heading == "[unknowns]":
-                found |= tables(inner, PRIOR)
-            else:
-                for name, keys in tables(inner, f"[[{path}]]" if is_list else f"[{path}]").items():
-                    found.setdefault(name, {}).update(keys)
+            for name, keys in tables(inner, own).items():
+                found.setdefault(name, {}).update(keys)
         if not models or heading == "[unknowns]":
             found[heading][key] = field
     return found
@@ -62,13 +67,9 @@ TABLES = tables(PlateFile, TOP)
 def documented(heading: str) -> dict[str, dict[str, str]]:
     """Key -> the cells of its row."""
     title = heading if heading == TOP else f"`{heading}`"
-    _, _, section = PAGE.partition(f"\n## {title}\n")
-    section = section.partition("\n## ")[0]
-    rows = [
-        [cell.strip() for cell in line.strip("|").split(" | ")]
-        for line in section.splitlines()
-        if "|" in line
-    ]
+    section = PAGE.partition(f"\n## {title}\n")[2].partition("\n## ")[0]
+    lines = [line.strip("|").split(" | ") for line in section.splitlines() if "|" in line]
+    rows = [[cell.strip() for cell in line] for line in lines]
     columns, rows = [cell.strip("| ") for cell in rows[0]], rows[2:]
     return {row[0].strip("| `"): dict(zip(columns, row, strict=True)) for row in rows}
 
@@ -93,27 +94,12 @@ def test_a_row_says_unit_and_default(heading: str, key: str) -> None:
     assert len(row["what it says"]) > 10
 
 
-# All values that a standard deviation may belong to.
-FILE = described(
-    (310.0, 228.0, 3.1),
-    1555.0,
-    {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8, "G13_GPa": 4.8, "G23_GPa": 3.2},
-    layup="[(0/90)_8]_s",
-    unknowns={"nu12": {"mean": 0.31, "sd": 0.03, "bounds": [0.15, 0.45]}},
-    sensor=[{"mass_g": 1.0, "x_mm": 10.0, "y_mm": 10.0}],
-    measurement={"frequencies_hz": [80.2, 146.3, 218.6]},
-)
-
-
 def _hybrid_with(heading: str, key: str, value: Any) -> dict[str, Any]:
     """A hybrid with the example in its ply, or in both of its materials."""
     file = deepcopy(HYBRID)
-    ply = {"name": "g", "material": "glass", "thickness_mm": 0.25} | (
-        {key: value} if heading == "[[ply]]" else {}
-    )
-    file["ply"][1] = ply
-    if heading == "[material]":
-        file["material"] = {name: {**part, key: value} for name, part in file["material"].items()}
+    ply = file["ply"][1] = {"name": "g", "material": "glass", "thickness_mm": 0.25}
+    for table in [ply] if heading == "[[ply]]" else file["material"].values():
+        table[key] = value
     file["material"][ply["material"]] = file["material"].pop("glass")
     file["plate"]["layup"] = f"[c0/{ply['name']}90]_s"
     file["plate"]["thickness_mm"] = 2.0 * (0.25 + ply["thickness_mm"])
@@ -138,10 +124,8 @@ def with_example(heading: str, key: str, value: Any) -> dict[str, Any]:
         file["measurement"]["complete"] = False
     if key == "posterior":
         file["unknowns"] = {"E1_GPa": [80.0, 200.0]}
-    if heading == PRIOR:
-        table = file["unknowns"]["nu12"]
-    elif heading == "[[sensor]]":
-        table = file["sensor"][0]
+    if heading in (PRIOR, "[[sensor]]"):
+        table = file["unknowns"]["nu12"] if heading == PRIOR else file["sensor"][0]
     else:
         table = file
         for name in [] if heading == TOP else heading.strip("[]").split("."):
@@ -151,22 +135,22 @@ def with_example(heading: str, key: str, value: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(("heading", "key"), KEYS)
-def test_the_example_of_a_key_is_accepted(
-    heading: str, key: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_example_of_a_key_is_accepted(heading: str, key: str, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "plate.msh").touch()
     write_posterior(tmp_path / "posterior.nc", {"E1_GPa": np.linspace(120.0, 140.0, 200)})
     points = grid(310.0, 228.0)
-    twist = np.stack(
-        (0.0 * points[:, 0], 0.0 * points[:, 0], (points[:, 0] - 155.0) * (points[:, 1] - 114.0))
-    )
-    (tmp_path / "modes.unv").write_text(nodes_15(points) + mode_55(80.2, twist), encoding="utf-8")
-    (tmp_path / "modes.csv").write_text("mode,hz\n1,80.2\n2,146.3\n", encoding="utf-8")
+    twist = np.stack((*np.zeros((2, len(points))), (points[:, 0] - 155.0) * (points[:, 1] - 114.0)))
     named = "Nr;Form;Peak A [Hz];Tap;Streuung;Verlust;Wert\n1;a;80.2;1;0.1;0.01;1\n2;b;146.3;1;0.1;0.01;1\n"
-    (tmp_path / "named.csv").write_text(named, encoding="utf-8")
-    (tmp_path / "levels.csv").write_text("hz;Pegel\n80.2;5\n146.3;2\n", encoding="utf-8")
-    (tmp_path / "peaks.csv").write_text("hz,height\n80.2,5\n146.3,2\n", encoding="utf-8")
+    files = {
+        "modes.unv": nodes_15(points) + mode_55(80.2, twist),
+        "modes.csv": "mode,hz\n1,80.2\n2,146.3\n",
+        "named.csv": named,
+        "levels.csv": "hz;Pegel\n80.2;5\n146.3;2\n",
+        "peaks.csv": "hz,height\n80.2,5\n146.3,2\n",
+    }
+    for name, content in files.items():
+        (tmp_path / name).write_text(content, encoding="utf-8")
     if key in ("recordings", "range_hz"):
         (tmp_path / "hits").mkdir()
         hit = recorded_hits(np.random.default_rng(0), np.array([80.2, 146.3]), np.full(2, 0.01), 1, Faults())

@@ -1,6 +1,9 @@
 """Plate files of several materials: what is read, and what is refused."""
 
+import re
 from copy import deepcopy
+from functools import reduce
+from operator import getitem
 from typing import Any
 
 import numpy as np
@@ -15,6 +18,20 @@ from tests.hybrids import GLASS, HYBRID, hybrid
 
 UNKNOWNS = {"carbon": {"E1_GPa": [80.0, 180.0]}, "glass": {"E1_GPa": [20.0, 60.0], "nu12": [0.1, 0.4]}}
 KINDS = {name: PlyKind(name, name, 1e-4) for name in ("c", "g", "core")}
+OTHERS = [
+    ("[c0/k45]", 'ply "k"'),
+    ("[c0/45]", 'ply ""'),
+    ("[c0/core?x]", "expected"),
+    ("[c]_s2", "nothing may follow"),
+]
+# what a key is replaced by, nothing to take it away, and what is said: of this key after a colon
+STEEL, SD = {"E1_GPa": [1.0, 2.0]}, {"G23_GPa": 0.1}
+OF_ONE: list[tuple[str, Any, str]] = [
+    ("ply item 1.material", "carbon", ": beside one [material]"),
+    ("material.density_kg_m3", 1590.0, ": of one material"),
+    ("unknowns", {"carbon": STEEL}, ": tables for several"),
+    ("plate.layup", "[0/90]_s", ': malformed layup: ply ""'),
+]
 
 
 def test_constants_carry_the_name_of_their_material() -> None:
@@ -46,32 +63,29 @@ def test_the_plies_give_mass_and_heights() -> None:
     # 6 plies of carbon of 0.25 mm, 4 of glass of 0.375 mm
     assert_allclose(plate.density, (1590.0 * 1.5 + 1900.0 * 1.5) / 3.0, rtol=1e-12)
     stack = plate.layup.plies
-    assert_allclose(
-        3.0 * np.diff(stack.interfaces), [0.25] * 2 + [0.375] * 2 + [0.25] * 2 + [0.375] * 2 + [0.25] * 2
-    )
-    assert_allclose(stack.density @ np.diff(stack.interfaces), 1.0, rtol=1e-12)
+    heights = np.diff(stack.interfaces)
+    assert_allclose(3.0 * heights, [0.25] * 2 + [0.375] * 2 + [0.25] * 2 + [0.375] * 2 + [0.25] * 2)
+    assert_allclose(stack.density @ heights, 1.0, rtol=1e-12)
     assert plate.layup.is_symmetric
     assert stack.is_symmetric
     weighed = cb.read_plate(hybrid(mass_g=330.0)).plate
     assert_allclose(weighed.density, 0.33 / (0.3 * 0.2 * 0.003), rtol=1e-12)
     assert_allclose(weighed.layup.plies.density, stack.density)
+    # one density of the plate is one of all plies
+    materials = {name: without_density(name) for name in HYBRID["material"]}
+    of_one = cb.read_plate(hybrid(density_kg_m3=1700.0) | {"material": materials}).plate.layup.plies
+    assert_allclose(of_one.mass_moments, (0.0, 1.0), atol=1e-15)
 
 
-def without_density(material: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in material.items() if key != "density_kg_m3"}
+def without_density(name: str) -> dict[str, Any]:
+    return {key: value for key, value in HYBRID["material"][name].items() if key != "density_kg_m3"}
 
 
 def of_one_material(layup: str, thickness_mm: float, **plies_mm: float) -> dict[str, Any]:
     """A plate of named plies of carbon."""
     file = hybrid(density_kg_m3=1590.0, layup=layup, thickness_mm=thickness_mm)
     file["ply"] = [{"name": name, "thickness_mm": t} for name, t in plies_mm.items()]
-    return file | {"material": without_density(HYBRID["material"]["carbon"])}
-
-
-def test_one_density_of_the_plate_is_one_density_of_all_plies() -> None:
-    materials = {name: without_density(material) for name, material in HYBRID["material"].items()}
-    stack = cb.read_plate(hybrid(density_kg_m3=1700.0) | {"material": materials}).plate.layup.plies
-    assert_allclose(stack.mass_moments, (0.0, 1.0), atol=1e-15)
+    return file | {"material": without_density("carbon")}
 
 
 def test_plies_of_one_material_may_differ_in_thickness() -> None:
@@ -89,9 +103,7 @@ def test_plies_of_one_material_may_differ_in_thickness() -> None:
         ("[c-30/g?/c90]", "c g c", [-30, np.nan, 90]),
     ],
 )
-def test_names_stand_before_angles_and_known_angles_keep_them(
-    text: str, names: str, angles: list[float]
-) -> None:
+def test_names_stand_before_angles_and_known_angles_keep_them(text: str, names: str, angles) -> None:
     layup = parse_layup(text, KINDS)
     assert [kind.name for kind in layup.kinds] == names.split()
     assert_allclose(layup.angles_deg, angles)
@@ -100,15 +112,7 @@ def test_names_stand_before_angles_and_known_angles_keep_them(
     assert known.n_unknown == 0
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("[c0/k45]", 'ply "k"'),
-        ("[c0/45]", 'ply ""'),
-        ("[c0/core?x]", "expected"),
-        ("[c]_s2", "nothing may follow"),
-    ],
-)
+@pytest.mark.parametrize(("text", "said"), OTHERS)
 def test_a_layup_of_other_plies_is_refused(text: str, said: str) -> None:
     with pytest.raises(LayupError, match=said):
         parse_layup(text, KINDS)
@@ -116,68 +120,42 @@ def test_a_layup_of_other_plies_is_refused(text: str, said: str) -> None:
         parse_layup("[c0/g45]")
 
 
-SPOILT: list[tuple[Any, str]] = [
-    (
-        lambda f: f["plate"].update(thickness_mm=3.2),
-        "plate.thickness_mm: not the sum of the plies, received 3.2, the plies of the layup make 3 mm",
-    ),
-    (lambda f: f.pop("ply"), "material: several materials, received carbon glass"),
-    (lambda f: f["plate"].pop("layup"), "plate.layup: missing, accepted: a layup of named plies"),
-    (lambda f: f["ply"][1].update(name="c"), 'ply item 2.name: received "c" twice'),
-    (
-        lambda f: f["ply"][0].update(material="karbon"),
-        "ply item 1.material: no table [material.karbon], accepted: carbon glass",
-    ),
-    (lambda f: f["ply"][0].pop("material"), "ply item 1.material: missing"),
-    (lambda f: f["ply"][0].pop("thickness_mm"), "ply item 1.thickness_mm: missing"),
-    (lambda f: f["material"].update(steel=GLASS), "material.steel: no ply of the layup is of it"),
-    (
-        lambda f: f["unknowns"].update(steel={"E1_GPa": [1.0, 2.0]}),
-        'unknowns.steel: of no material, received "steel"',
-    ),
-    (
-        lambda f: f.update(unknowns={"E1_GPa": [80.0, 180.0]}),
-        'unknowns.E1_GPa: of no material, received "E1_GPa", accepted: tables [unknowns.NAME]',
-    ),
-    (lambda f: f["material"]["glass"].update(E1_GPa=1.0), "material.glass.E1_GPa: impossible constants"),
-    (
-        lambda f: f["material"]["glass"].update(E1_GPa="stiff"),
-        'material.glass.E1_GPa: wrong type, received "stiff", accepted: a number above 0, in GPa',
-    ),
-    (
-        lambda f: f["material"]["glass"].update(sd={"G23_GPa": 0.1}),
-        "material.glass.sd.G23_GPa: standard deviation of a number that [material] does not give",
-    ),
-    (lambda f: f["material"]["glass"].pop("density_kg_m3"), "material.glass.density_kg_m3: missing"),
-    (
-        lambda f: f["material"]["glass"].update(density_kg_m3=1.9),
-        "material.glass.density_kg_m3: no density of a solid, received 1.9",
-    ),
-    (lambda f: f["plate"].update(density_kg_m3=1700.0), "plate.density_kg_m3: beside densities of the"),
-]
-OF_ONE: list[tuple[Any, str]] = [
-    (lambda f: f["ply"][0].update(material="carbon"), "ply item 1.material: beside one [material]"),
-    (lambda f: f["material"].update(density_kg_m3=1590.0), "material.density_kg_m3: of one material"),
-    (lambda f: f.update(unknowns={"carbon": {"E1_GPa": [80.0, 180.0]}}), "unknowns: tables for several"),
-    (lambda f: f["plate"].update(layup="[0/90]_s"), 'plate.layup: malformed layup: ply ""'),
+SPOILT: list[tuple[str, Any, str]] = [
+    ("plate.thickness_mm", 3.2, ": not the sum of the plies, received 3.2, the plies of the layup make 3 mm"),
+    ("ply", None, "material: several materials, received carbon glass"),
+    ("plate.layup", None, ": missing, accepted: a layup of named plies"),
+    ("ply item 2.name", "c", ': received "c" twice'),
+    ("ply item 1.material", "karbon", ": no table [material.karbon], accepted: carbon glass"),
+    *((f"ply item 1.{key}", None, ": missing") for key in ("material", "thickness_mm")),
+    ("material.steel", GLASS, ": no ply of the layup is of it"),
+    ("unknowns.steel", STEEL, ': of no material, received "steel"'),
+    ("unknowns", STEEL, '.E1_GPa: of no material, received "E1_GPa", accepted: tables [unknowns.NAME]'),
+    ("material.glass.E1_GPa", 1.0, ": impossible constants"),
+    ("material.glass.E1_GPa", "stiff", ': wrong type, received "stiff", accepted: a number above 0, in GPa'),
+    ("material.glass.sd", SD, ".G23_GPa: standard deviation of a number that [material] does not give"),
+    ("material.glass.density_kg_m3", None, ": missing"),
+    ("material.glass.density_kg_m3", 1.9, ": no density of a solid, received 1.9"),
+    ("plate.density_kg_m3", 1700.0, ": beside densities of the"),
 ]
 
 
 @pytest.mark.parametrize(
-    ("file", "change", "said"),
+    ("file", "key", "value", "said"),
     [
         *(({**HYBRID, "unknowns": UNKNOWNS}, *wrong) for wrong in SPOILT),
         *((of_one_material("[c0/c90]_s", 1.0, c=0.25), *wrong) for wrong in OF_ONE),
     ],
-    ids=[said for _, said in SPOILT + OF_ONE],
+    ids=[f"{key}: {value}" for key, value, _ in SPOILT + OF_ONE],
 )
-def test_wrong_plies_and_materials_are_one_problem_with_its_key(
-    file: dict[str, Any], change: Any, said: str
-) -> None:
+def test_wrong_plies_and_materials_are_one_problem_with_its_key(file, key: str, value, said: str) -> None:
     spoilt = deepcopy(file)
     cb.read_plate(spoilt)
-    change(spoilt)
+    *tables, last = (int(part) - 1 if part.isdigit() else part for part in re.split(r" item |\.", key))
+    table = reduce(getitem, tables, spoilt)
+    table[last] = value
+    if value is None:
+        del table[last]
     with pytest.raises(PlateFileError) as error:
         cb.read_plate(spoilt)
     (problem,) = error.value.problems
-    assert said in problem
+    assert (f"{key}{said}" if said[0] in ".:" else said) in problem

@@ -1,7 +1,6 @@
 """Laminate stiffness, of one material and of several, and the constants that a symmetry allows."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final
 
 import numpy as np
 import pytest
@@ -9,33 +8,17 @@ from numpy.testing import assert_allclose
 from numpy.typing import ArrayLike
 from scipy.integrate import quad_vec
 
-from cpam_bayes.plate.laminate import (
-    CURVATURE,
-    ENERGY_CONSISTENT,
-    FIVE_SIXTHS,
-    MEMBRANE,
-    SHEAR,
-    PlyStack,
-    ShearModel,
-    complete_constants,
-    constraint_violations,
-    first_order_stiffness,
-    flexural_constants,
-    is_admissible,
-    laminate_geometry,
-    laminate_stiffness,
-)
+from cpam_bayes.plate import laminate
+from cpam_bayes.plate.laminate import SHEAR, complete_constants, laminate_geometry, laminate_stiffness
 from tests.plates import ANGLE_PLY_16S, CARBON, GLASS
 
-Constants = Mapping[str, ArrayLike]
-
 # G13 and G23 differ from each other and from G12, so that a mistaken index shows.
-PLY: dict[str, float] = CARBON | {"G13": 5.1e9, "G23": 3.0e9}
+PLY = CARBON | {"G13": 5.1e9, "G23": 3.0e9}
 ISOTROPIC = complete_constants({"E1": 70e9, "nu12": 0.3}, "isotropic")
 THICKNESS = 0.0032
-COMPOSITE: Final = "transversely_isotropic"
-UNCORRECTED = ShearModel(1.0)
-LAYUPS: dict[str, tuple[float, ...]] = {
+COMPOSITE = "transversely_isotropic"
+UNCORRECTED = laminate.ShearModel(1.0)
+LAYUPS = {
     "single": (0.0,),
     "off-axis": (35.0,),
     "cross": (0.0, 90.0),
@@ -45,14 +28,18 @@ LAYUPS: dict[str, tuple[float, ...]] = {
     "general": (10.0, -65.0, 40.0, 80.0, -25.0),
     "thirty-two": ANGLE_PLY_16S,
 }
-shear_models = pytest.mark.parametrize("shear", [ENERGY_CONSISTENT, FIVE_SIXTHS], ids=["energy", "5/6"])
+shear_models = pytest.mark.parametrize(
+    "shear", [laminate.ENERGY_CONSISTENT, laminate.FIVE_SIXTHS], ids=["energy", "5/6"]
+)
+VLACHOUTSIS = [(25.0, 0.5, 0.2, 0.6808, 0.6794), (40.0, 0.6, 0.5, 0.8316, 0.8208)]
+FABRIC = {"E1": 60e9, "E2": 60e9, "nu12": 0.05, "G12": 4e9}
 
 
 def stiffness(
     layup: ArrayLike,
-    constants: Constants = PLY,
+    constants: Mapping[str, ArrayLike] = PLY,
     thickness: ArrayLike = THICKNESS,
-    shear: ShearModel = ENERGY_CONSISTENT,
+    shear: laminate.ShearModel = laminate.ENERGY_CONSISTENT,
 ) -> np.ndarray:
     return laminate_stiffness(constants, np.asarray(layup), thickness, shear)
 
@@ -133,68 +120,54 @@ def integrated_shear(layup: tuple[float, ...]) -> np.ndarray:
 def block_scales(stiffness: np.ndarray) -> np.ndarray:
     """Root of the largest diagonal entry of its block for every strain: A, B, D and A_s differ in unit."""
     scale = np.sqrt(np.abs(np.diagonal(stiffness)))
-    for block in (MEMBRANE, CURVATURE, SHEAR):
+    for block in (laminate.MEMBRANE, laminate.CURVATURE, SHEAR):
         scale[block] = scale[block].max(initial=0.0)
     return np.asarray(scale)
 
 
 def close(found: np.ndarray, expected: np.ndarray, digits: float = 1e-12) -> None:
     """Equal to rounding of the largest entries, block by block."""
-    scale = block_scales(expected)
-    np.testing.assert_allclose(
-        found / scale[:, None] / scale, expected / scale[:, None] / scale, rtol=0, atol=digits
-    )
+    scale = block_scales(expected)[:, None] * block_scales(expected)
+    assert_allclose(found / scale, expected / scale, rtol=0, atol=digits)
 
 
 @pytest.mark.parametrize("layup", LAYUPS.values(), ids=LAYUPS)
-def test_stiffness_is_the_sum_over_the_plies_and_a_symmetric_layup_has_no_coupling_at_all(
-    layup: tuple[float, ...],
-) -> None:
+def test_stiffness_is_the_sum_over_plies_without_coupling_by_symmetry(layup: tuple[float, ...]) -> None:
     found, expected = stiffness(layup), summed(layup)
     close(found[:6, :6], expected[:6, :6])
     assert np.all(found[:6, 6:] == 0.0)
     np.testing.assert_array_equal(found, found.T)
-    assert np.all(found[MEMBRANE, CURVATURE] == 0.0) == (layup == layup[::-1])
+    assert np.all(found[laminate.MEMBRANE, laminate.CURVATURE] == 0.0) == (layup == layup[::-1])
     close(stiffness(layup, shear=UNCORRECTED), expected)
-    sixths = stiffness(layup, shear=FIVE_SIXTHS)[SHEAR, SHEAR]
-    close(sixths, expected[SHEAR, SHEAR] * 5 / 6)
+    close(stiffness(layup, shear=laminate.FIVE_SIXTHS)[SHEAR, SHEAR], expected[SHEAR, SHEAR] * 5 / 6)
 
 
 @pytest.mark.parametrize("name", [name for name in LAYUPS if name != "thirty-two"])
 def test_shear_stiffness_is_the_energy_of_the_equilibrium_stresses(name: str) -> None:
     expected = integrated_shear(LAYUPS[name])
-    found = stiffness(LAYUPS[name])[SHEAR, SHEAR]
     # the quadratures ask for 1e-12; their sums and two inversions leave a few digits less
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * expected.max())
+    assert_allclose(stiffness(LAYUPS[name])[SHEAR, SHEAR], expected, rtol=0, atol=1e-10 * expected.max())
 
 
-@pytest.mark.parametrize(
-    ("e1", "g13", "g23", "k13", "k23"), [(25.0, 0.5, 0.2, 0.6808, 0.6794), (40.0, 0.6, 0.5, 0.8316, 0.8208)]
-)
-def test_shear_factors_of_a_120_ply_cross_ply_are_those_of_vlachoutsis(
-    e1: float, g13: float, g23: float, k13: float, k23: float
-) -> None:
+@pytest.mark.parametrize(("e1", "g13", "g23", "k13", "k23"), VLACHOUTSIS)
+def test_shear_factors_of_a_120_ply_cross_ply_are_those_of_vlachoutsis(e1, g13, g23, k13, k23) -> None:
     # Vlachoutsis, Int. J. Numer. Meth. Engng 33 (1992), four digits, as quoted in the tests of the
     # package composites. His factors leave Poisson's coupling out, which is below the last digit here.
     constants = {"E1": e1, "E2": 1.0, "nu12": 0.25, "G12": g13, "G13": g13, "G23": g23}
     layup = (0.0, 90.0) * 30 + (90.0, 0.0) * 30
-    found, plain = (
-        stiffness(layup, constants, 1.0, m)[SHEAR, SHEAR] for m in (ENERGY_CONSISTENT, UNCORRECTED)
-    )
-    factor = np.diagonal(found) / np.diagonal(plain)
-    np.testing.assert_allclose(factor, [k23, k13], rtol=0, atol=5e-5)
+    both = (stiffness(layup, constants, 1.0, model) for model in (laminate.ENERGY_CONSISTENT, UNCORRECTED))
+    found, plain = (np.diagonal(one[SHEAR, SHEAR]) for one in both)
+    assert_allclose(found / plain, [k23, k13], rtol=0, atol=5e-5)
 
 
 @pytest.mark.parametrize("layup", [LAYUPS["symmetric-cross"], LAYUPS["general"]])
 @shear_models
 @pytest.mark.parametrize("name", [*PLY, "thickness"])
-def test_complex_step_derivative_is_the_difference_quotient(
-    layup: tuple[float, ...], shear: ShearModel, name: str
-) -> None:
+def test_complex_step_derivative_is_the_difference_quotient(layup, shear, name: str) -> None:
     values = PLY | {"thickness": THICKNESS}
 
     def at(value: complex) -> np.ndarray:
-        own: dict[str, complex] = dict(values) | {name: value}
+        own = values | {name: value}
         return stiffness(layup, own, own.pop("thickness"), shear)
 
     p = values[name]
@@ -210,29 +183,28 @@ def test_complex_step_derivative_is_the_difference_quotient(
 
 @shear_models
 @pytest.mark.parametrize("symmetric", [True, False])
-def test_a_stack_of_layups_and_constants_equals_the_loop(shear: ShearModel, symmetric: bool) -> None:
+def test_a_stack_of_layups_and_constants_equals_the_loop(shear: laminate.ShearModel, symmetric: bool) -> None:
     rng = np.random.default_rng(5)
-    n = 7
-    angles = rng.uniform(-90.0, 90.0, size=(n, 4))
+    angles = rng.uniform(-90.0, 90.0, size=(7, 4))
     if symmetric:
         angles = np.concatenate((angles, angles[:, ::-1]), axis=1)
-    constants = {name: value * rng.uniform(0.8, 1.2, size=n) for name, value in PLY.items()}
-    thickness = rng.uniform(0.001, 0.01, size=n)
+    constants = {name: value * rng.uniform(0.8, 1.2, size=7) for name, value in PLY.items()}
+    thickness = rng.uniform(0.001, 0.01, size=7)
     stack = laminate_stiffness(constants, angles, thickness, shear)
-    assert stack.shape == (n, 8, 8)
-    for i in range(n):
+    assert stack.shape == (7, 8, 8)
+    for i in range(7):
         own = {name: value[i] for name, value in constants.items()}
         close(stack[i], stiffness(angles[i], own, thickness[i], shear))
 
 
 def test_flexural_constants_of_one_material_are_its_own() -> None:
-    found = flexural_constants(stiffness((0.0,), ISOTROPIC), THICKNESS)
+    found = laminate.flexural_constants(stiffness((0.0,), ISOTROPIC), THICKNESS)
     d = 70e9 * THICKNESS**3 / 12 / (1 - 0.3**2)
     rigidity = {"D11": d, "D22": d, "D12": 0.3 * d, "D66": 0.35 * d}
     expected = {"Ex": 70e9, "Ey": 70e9, "Gxy": float(ISOTROPIC["G12"]), "nuxy": 0.3, **rigidity}
     assert {name: found[name] for name in expected} == pytest.approx(expected, rel=1e-12)
     assert max(abs(found["D16"]), abs(found["D26"])) < 1e-12 * d
-    plies = flexural_constants(stiffness((0.0,) * 4), THICKNESS)
+    plies = laminate.flexural_constants(stiffness((0.0,) * 4), THICKNESS)
     expected = {"Ex": PLY["E1"], "Ey": PLY["E2"], "Gxy": PLY["G12"], "nuxy": PLY["nu12"]}
     assert {name: plies[name] for name in expected} == pytest.approx(expected, rel=1e-12)
 
@@ -244,36 +216,29 @@ def test_flexural_modulus_of_an_unsymmetric_strip_lets_it_stretch() -> None:
     centre = h / 4 * (e2 - e1) / (e1 + e2)
     steiner = e1 * (h / 4 + centre) ** 2 + e2 * (h / 4 - centre) ** 2
     per_width = (e1 + e2) * (h / 2) ** 3 / 12 + h / 2 * steiner
-    found = flexural_constants(stiffness((0.0, 90.0), constants), h)
+    found = laminate.flexural_constants(stiffness((0.0, 90.0), constants), h)
     assert found["Ex"] == pytest.approx(12 / h**3 * per_width, rel=1e-12)
     assert found["Ey"] == pytest.approx(found["Ex"], rel=1e-12)
 
 
 def named(**materials: dict[str, float]) -> dict[str, np.ndarray]:
     """All constants of materials by their full names."""
-    return {
-        f"{name}.{key}": value
-        for name, constants in materials.items()
-        for key, value in complete_constants(
-            constants, COMPOSITE if "E2" in constants else "isotropic"
-        ).items()
-    }
+    of = {n: complete_constants(c, COMPOSITE if "E2" in c else "isotropic") for n, c in materials.items()}
+    return {f"{name}.{key}": value for name, constants in of.items() for key, value in constants.items()}
 
 
-def stack(thickness: list[float], material: list[int], names: tuple[str, ...]) -> PlyStack:
-    heights = np.array(thickness) / np.sum(thickness)
-    z = np.concatenate(([0.0], np.cumsum(heights))) - 0.5
-    return PlyStack(z, np.array(material), np.ones(len(material)), names)
+def stack(thickness: list[float], material: list[int], names: tuple[str, ...]) -> laminate.PlyStack:
+    z = np.cumsum([0.0, *thickness]) / np.sum(thickness) - 0.5
+    return laminate.PlyStack(z, np.array(material), np.ones(len(material)), names)
 
 
 @shear_models
 @pytest.mark.parametrize("angles", [[0, 45, 90, 90, 45, 0], [0, 30, -60, 90], [0, 0, 20, 90, 15, 15]])
-def test_two_equal_materials_are_one(angles: list[float], shear: ShearModel) -> None:
+def test_two_equal_materials_are_one(angles: list[float], shear: laminate.ShearModel) -> None:
     plain = laminate_stiffness(complete_constants(CARBON, COMPOSITE), angles, THICKNESS, shear)
     plies = stack([1.0] * len(angles), [i % 2 for i in range(len(angles) // 2)] * 2, ("a", "b"))
     geometry = laminate_geometry(angles, plies=plies)
-    both = laminate_stiffness(named(a=CARBON, b=CARBON), geometry, THICKNESS, shear)
-    close(both, plain)
+    close(laminate_stiffness(named(a=CARBON, b=CARBON), geometry, THICKNESS, shear), plain)
 
 
 def test_a_hybrid_is_the_sum_over_its_plies() -> None:
@@ -301,7 +266,7 @@ def test_first_order_of_a_hybrid_is_its_complex_step(angles: list[float]) -> Non
     names = ["a.E1", "a.nu12", "a.G23", "b.E2", "b.G12", "b.G13"]
     along = {name: constants[name] * (1.0 + 1e-25j * np.eye(7)[i]) for i, name in enumerate(names)}
     h = THICKNESS * (1.0 + 1e-25j * np.eye(7)[6])
-    found = first_order_stiffness({**constants, **along}, laminate_geometry(angles, plies=plies), h)
+    found = laminate.first_order_stiffness({**constants, **along}, laminate_geometry(angles, plies=plies), h)
     # a stack of layups has no closed form
     expected = laminate_stiffness({**constants, **along}, laminate_geometry([angles], plies=plies), h)
     for part in (np.real, np.imag):
@@ -310,10 +275,7 @@ def test_first_order_of_a_hybrid_is_its_complex_step(angles: list[float]) -> Non
         assert np.all(np.abs(part(found) - part(expected)) <= 1e-12 * size)
 
 
-FABRIC = {"E1": 60e9, "E2": 60e9, "nu12": 0.05, "G12": 4e9}
-
-
-def test_left_out_constants_follow_eq_6_and_11_or_are_the_in_plane_one_and_given_ones_are_kept():
+def test_left_out_constants_follow_eq_6_and_11_or_the_in_plane_one_given_ones_stay_and_others_are_refused():
     full = complete_constants(CARBON, COMPOSITE)
     nu23 = 0.23 * (1 - 0.23 * 9.34 / 121.2) / (1 - 0.23)
     assert full["G13"] == CARBON["G12"]
@@ -327,40 +289,32 @@ def test_left_out_constants_follow_eq_6_and_11_or_are_the_in_plane_one_and_given
     assert metal["E2"] == 69e9
     # eq. (11), the printed shear modulus
     assert metal["G12"] == metal["G13"] == metal["G23"] == pytest.approx(25.94e9, abs=0.005e9)
+    # missing and unknown ones
+    for names, symmetry in (("E1 nu12 E2", "isotropic"), ("E1", "isotropic"), ("E1 E2 nu12", "orthotropic")):
+        with pytest.raises(ValueError, match="required"):
+            complete_constants(dict.fromkeys(names.split(), 0.3), symmetry)
 
 
 @pytest.mark.parametrize(
     ("change", "broken"),
     [
-        ({}, []),
-        ({"E2": 130e9}, [3]),
-        ({"E1": 9.34e9}, [3]),
-        ({"nu12": 0.6}, [0, 1]),
-        ({"E1": 10e9, "E2": 9e9, "nu12": 1.2}, [0, 2]),
-        ({"nu12": float("nan")}, [0, 1, 2]),
+        *(({}, []), ({"E2": 130e9}, [3]), ({"E1": 9.34e9}, [3]), ({"nu12": 0.6}, [0, 1])),
+        *(({"E1": 10e9, "E2": 9e9, "nu12": 1.2}, [0, 2]), ({"nu12": float("nan")}, [0, 1, 2])),
     ],
 )
 def test_each_constraint_of_eq_9_is_seen(change, broken):
-    found = constraint_violations(CARBON | change, COMPOSITE)
+    found = laminate.constraint_violations(CARBON | change, COMPOSITE)
     assert list(np.flatnonzero(found)) == broken
 
 
 def test_moduli_are_positive_and_isotropic_poissons_ratios_within_minus_one_and_half():
     for nu in (-1.01, -0.99, 0.0, 0.499, 0.501, 1.0):
-        assert is_admissible({"E1": 69e9, "nu12": nu}, "isotropic") == (-1.0 < nu < 0.5)
+        assert laminate.is_admissible({"E1": 69e9, "nu12": nu}, "isotropic") == (-1.0 < nu < 0.5)
     constants = CARBON | {"G13": 5e9, "G23": 3e9}
-    assert is_admissible(constants, COMPOSITE)
+    assert laminate.is_admissible(constants, COMPOSITE)
     for name in ("E1", "E2", "G12", "G13", "G23"):
-        assert not is_admissible(constants | {name: 0.0}, COMPOSITE)
-        assert not is_admissible(constants | {name: -1e9}, COMPOSITE)
-
-
-@pytest.mark.parametrize(
-    ("symmetry", "names"), [("isotropic", "E1 nu12 E2"), ("isotropic", "E1"), ("orthotropic", "E1 E2 nu12")]
-)
-def test_missing_and_unknown_constants_are_refused(symmetry, names):
-    with pytest.raises(ValueError, match="required"):
-        complete_constants(dict.fromkeys(names.split(), 0.3), symmetry)
+        assert not laminate.is_admissible(constants | {name: 0.0}, COMPOSITE)
+        assert not laminate.is_admissible(constants | {name: -1e9}, COMPOSITE)
 
 
 @pytest.mark.parametrize("ratio", [0.05, 0.5, 1.0, 3.0, 15.0])
@@ -369,4 +323,4 @@ def test_an_orthotropic_ply_is_positive_definite_and_no_more_is_asked_of_it(rati
         # the compliance in plane stress, scaled to a unit diagonal of E1
         compliance = [[1.0, -nu12], [-nu12, ratio]]
         constants = {"E1": ratio, "E2": 1.0, "nu12": nu12, "G12": 0.1}
-        assert is_admissible(constants, "orthotropic") == (np.linalg.eigvalsh(compliance)[0] > 0.0)
+        assert laminate.is_admissible(constants, "orthotropic") == (np.linalg.eigvalsh(compliance)[0] > 0.0)

@@ -27,6 +27,18 @@ WRITTEN = {
     "other columns": "mode,amplitude,hz,damping\n1,9.9,101.5,0.004\n2,?,305.25,0.002\n3,,333,\n",
     "another order": "damping,hz,mode\n,333,3\n0.002,305.25,2\n0.004,101.5,1\n",
 }
+LISTED = "1;101,5\n2;305,25\n3;333\n"
+# hits below each other, and beside each other
+HITS = "1;101,4;305,2;333,1\n2;101,6;305,3;332,9\n"
+BESIDE = "1;101,4;101,6\n2;305,2;305,3\n3;333,1;332,9\n"
+HEADS = [
+    *("Modennummer;Eigenfrequenz in Hz", "Ordre;Fr\u00e9quence\u00a0propre\u00a0(Hz)", "no;\u9891\u7387"),
+    *("N\u00famero de modo;Frecuencia natural (Hz)", "Mod;Cz\u0119stotliwo\u015b\u0107 [Hz]"),
+    *("Mode;Frequenz/Hz", "Mode;Messwert [Hz]", "Modo;Frequenza naturale [Hz]"),
+    "Nr;\u0447\u0430\u0441\u0442\u043e\u0442\u0430",
+]
+# of modes, and of the hits before them
+OF_MODES = {"Frequency of mode {}": "Run", "Mode {} frequency [Hz]": "", "f_{}": "", "Eigenform {}": "Nr"}
 
 
 @pytest.mark.parametrize("content", WRITTEN.values(), ids=WRITTEN)
@@ -39,21 +51,6 @@ def test_a_table_says_the_same_however_it_is_written(measured, content: str | by
     assert found.labels == ("", "", "")
 
 
-LISTED = "1;101,5\n2;305,25\n3;333\n"
-# hits below each other, and beside each other
-HITS = "1;101,4;305,2;333,1\n2;101,6;305,3;332,9\n"
-BESIDE = "1;101,4;101,6\n2;305,2;305,3\n3;333,1;332,9\n"
-HEADS = [
-    "Modennummer;Eigenfrequenz in Hz",
-    "Ordre;Fr\u00e9quence\u00a0propre\u00a0(Hz)",
-    "N\u00famero de modo;Frecuencia natural (Hz)",
-    "Modo;Frequenza naturale [Hz]",
-    "Mod;Cz\u0119stotliwo\u015b\u0107 [Hz]",
-    "Nr;\u0447\u0430\u0441\u0442\u043e\u0442\u0430",
-    "no;\u9891\u7387",
-    "Mode;Messwert [Hz]",
-    "Mode;Frequenz/Hz",
-]
 WRITTEN_IN_LABORATORIES: dict[str, str | bytes] = {
     "no heads": LISTED,
     **{heads: f"{heads}\n{LISTED}" for heads in HEADS},
@@ -62,15 +59,15 @@ WRITTEN_IN_LABORATORIES: dict[str, str | bytes] = {
     "cp1250": f"Mod;Cz\u0119stotliwo\u015b\u0107 [Hz]\n{LISTED}".encode("cp1250"),
     "a column of numbers": "# tap test\n101,5\n305,25\n333\n",
     "a line of other units": "Frequenz;Amplitude;Q\nHz;m/s\u00b2;-\n101,5;2;9\n305,25;2;\n333;3;\n",
-    "wide, frequency of mode 1": wide(",", [f"Frequency of mode {i}" for i in (1, 2, 3)], first="Run"),
-    "wide, Mode 1 frequency [Hz]": wide(",", [f"Mode {i} frequency [Hz]" for i in (1, 2, 3)]),
+    **{
+        f"wide, {mode}": wide(",", [mode.format(i) for i in (1, 2, 3)], first=hit)
+        for mode, hit in OF_MODES.items()
+    },
     "a line of units in brackets": "Mode;f\n[-];[kHz]\n1;0,1015\n2;0,30525\n3;0,333\n",
     "long, hits in any language": "Schlag;Mode;Frequenz\n"
     + "".join(f"{i};{m};{f}\n" for i, hit in enumerate(TAPPED, 1) for m, f in enumerate(hit, 1)),
     "wide, no column of hits": wide(",", THREE),
     "wide, Mode_1 [Hz]": wide("\t", ["Mode_1 [Hz]", "Mode_2 [Hz]", "Mode_3 [Hz]"], first="Messung"),
-    "wide, f_1": wide(",", ["f_1", "f_2", "f_3"], first=""),
-    "wide, Eigenform 1": wide(";", ["Eigenform 1", "Eigenform 2", "Eigenform 3"], first="Nr"),
     "wide, coup": wide(";", ["ordre 1", "ordre 2", "ordre 3"], first="coup", mark=","),
     "wide, a head that is not known for the hits": wide(";", THREE, first="wer"),
     "wide, a line of units": wide(";", THREE, first="hit").replace("\n", "\n;Hz;Hz;Hz\n", 1),
@@ -151,7 +148,7 @@ AMBIGUOUS: list[tuple[str, str | bytes]] = [
     ('received "1;101"', "Mode,f\n1;101,5\n2;305,25\n"),
     ("or Peak?", "Mode;Peak;Bandwidth (Hz)\n1;101,5;1,1\n2;305,25;3,1\n"),
     ("or Mittelwert?", "Mode;Mittelwert;Std [Hz]\n1;101,5;0,5\n2;305,25;0,5\n"),
-    ("[measurement.columns]", "Mode;FEM [Hz];Test [Hz]\n1;103;101,5\n2;309;305,25\n"),
+    ("name it in [measurement.columns]", "Mode;FEM [Hz];Test [Hz]\n1;103;101,5\n2;309;305,25\n"),
     ("several plates, received A, B", "Plate;Mode;f [Hz]\nA;1;101,4\nA;2;305,2\nB;1;103,6\nB;2;308\n"),
     ("a table for each", "Platte;1;2\nA;101,4;305,2\nB;103,6;308\n"),
     ("line 3, column mode: missing", "Mode;f\n1;101,4\n;101,6\n2;305,2\n;305,3\n"),

@@ -13,13 +13,14 @@ from cpam_bayes.answer import as_written
 from cpam_bayes.errors import PlateFileError
 from cpam_bayes.plate.modes_of_hits import small_sample_factor
 from cpam_bayes.render.plate import measured_facts
-from cpam_bayes.render.report import Table, plate_keys
+from cpam_bayes.render.report import plate_keys
 from tests.layouts import MODES, TABLE, TAPPED, THREE, WIDE, sheet, wide
 from tests.plate_file import OF_TABLE
 
-EQUAL_HITS = "mode,hit,hz\n" + "".join(
-    f"{m},{h},{f}\n" for m, f in ((1, 101.5), (2, 305.2)) for h in (1, 2, 3)
-)
+EQUAL_HITS = "mode,hit,hz\n1,1,101.5\n1,2,101.5\n1,3,101.5\n2,1,305.2\n2,2,305.2\n2,3,305.2\n"
+HITS = "mode,hit,hz\n1,1,100.2\n1,2,100.6\n1,3,100.1\n2,1,310.0\n2,2,311.0\n2,3,312.0\n3,1,400.0\n"
+BESIDE = 'table = "modes.csv"\n'
+SIDES = "mode;left [Hz];right [Hz]\n1;101,5;9\n2;305,25;9\n3;333;9\n"
 
 
 def test_a_stated_repeatability_is_the_least_that_hits_give(measured) -> None:
@@ -67,20 +68,21 @@ def test_labels_name_modes_and_fix_them_and_a_table_needs_no_more_than_frequenci
     np.testing.assert_allclose(found.frequencies, [103.0, 311.3], rtol=1e-12)
 
 
-HITS = "mode,hit,hz\n1,1,100.2\n1,2,100.6\n1,3,100.1\n2,1,310.0\n2,2,311.0\n2,3,312.0\n3,1,400.0\n"
-
-
-def test_hits_become_their_mean_and_the_scatter_of_a_single_one(measured) -> None:
+def test_hits_below_and_beside_each_other_become_their_mean_and_the_scatter_of_one(measured) -> None:
     found = measured(HITS)
     first, second = np.array([100.2, 100.6, 100.1]), np.array([310.0, 311.0, 312.0])
-    factor = t.ppf(0.975, 2) / 1.959963984540054
     np.testing.assert_allclose(found.frequencies, [first.mean(), 311.0, 400.0], rtol=1e-12)
-    scatter = [first.std(ddof=1) * factor, second.std(ddof=1) * factor]
+    scatter = [hits.std(ddof=1) * t.ppf(0.975, 2) / 1.959963984540054 for hits in (first, second)]
     np.testing.assert_allclose(found.frequency_sd[:2], scatter, rtol=1e-12)
     # one hit: the relative scatter of the others together, which has 4 degrees of freedom
     pooled = np.sqrt(np.mean([first.var(ddof=1) / first.mean() ** 2, second.var(ddof=1) / 311.0**2]))
     alone = 400.0 * pooled * t.ppf(0.975, 4) / 1.959963984540054
     assert found.frequency_sd[2] == pytest.approx(alone, rel=1e-12)
+    # the same hits beside each other
+    rows = (f"{m},{i},{f}" for i, hit in enumerate(TAPPED, 1) for m, f in enumerate(hit, 1))
+    meant = measured("\n".join(["mode,hit,hz", *rows, ""])).frequency_sd
+    beside = measured(wide(";", THREE, first="hit", mark=",")).frequency_sd
+    np.testing.assert_allclose(beside, meant, rtol=1e-12)
 
 
 @pytest.mark.parametrize("n", [2, 3, 5, 10])
@@ -95,9 +97,7 @@ def test_the_interval_of_few_hits_holds_a_further_one_as_often_as_it_says(n: int
 
 
 def test_a_weight_of_0_leaves_a_hit_out_and_others_weigh(measured) -> None:
-    found = measured(
-        "mode,hz,weight,damping\n1,100,1,0.01\n1,180,0,0.2\n1,103,2,0.04\n2,300,1,\n2,300.5,1,\n"
-    )
+    found = measured("mode,hz,weight,damping\n1,100,1,0.01\n1,180,0,0.2\n1,103,2,0.04\n2,300,1,\n2,301,1,\n")
     assert found.frequencies[0] == pytest.approx(102.0, rel=1e-12)
     assert found.damping[0] == pytest.approx(0.03, rel=1e-12)
     weighed = EQUAL_HITS.replace("hz\n", "hz,weight\n").replace("2,2,305.2\n", "2,2,3.052,0\n")
@@ -124,15 +124,8 @@ def test_a_mode_left_out_makes_a_gap_that_must_be_said(measured, refused, conten
 
 def test_everything_that_is_wrong_with_a_table_comes_at_once(refused) -> None:
     problems = refused("mode,hz,damping\n1,abc,0.1\n2,200,7\n3,300,0.1\n4,-1,y\n")
-    assert [problem.partition(": ")[0] for problem in problems] == [
-        "modes.csv line 2, column hz",
-        "modes.csv line 3, column damping",
-        "modes.csv line 5, column hz",
-        "modes.csv line 5, column damping",
-    ]
-
-
-BESIDE = 'table = "modes.csv"\n'
+    places = ["line 2, column hz", "line 3, column damping", "line 5, column hz", "line 5, column damping"]
+    assert [problem.partition(": ")[0] for problem in problems] == [f"modes.csv {place}" for place in places]
 
 
 @pytest.mark.parametrize(
@@ -148,8 +141,8 @@ BESIDE = 'table = "modes.csv"\n'
         ('frequencies_hz = [100]\n[measurement.columns]\nhz = "b"\n', "beside no table"),
     ],
 )
-def test_frequencies_come_from_one_place_that_can_be_read(tmp_path: Path, tables: str, said: str) -> None:
-    (tmp_path / "modes.csv").write_text(TABLE, encoding="utf-8")
+def test_frequencies_come_from_one_place(read, tmp_path: Path, tables: str, said: str) -> None:
+    read(TABLE)
     path = tmp_path / "bar.toml"
     path.write_text(f"{OF_TABLE}{tables}", encoding="utf-8")
     with pytest.raises(PlateFileError, match=said) as caught:
@@ -157,35 +150,24 @@ def test_frequencies_come_from_one_place_that_can_be_read(tmp_path: Path, tables
     assert len(caught.value.problems) == 1
 
 
-def test_a_table_stays_beside_its_plate_file_wherever_it_is_read_from(
-    read, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    read(TABLE)
-    monkeypatch.chdir(tmp_path.parent)
-    found = cb.read_plate(Path(tmp_path.name) / "bar.toml").measurement
-    assert found.size == 3
-
-
 def test_damping_is_shown_and_in_the_document(read) -> None:
     specimen = read("mode,hit,hz,damping [%],comment\n1,1,100,0.4,x\n1,2,101,0.5,y\n2,1,300,,z\n")
-    shown: Table = measured_facts(specimen)
-    rows = dict(row[:2] for row in shown.rows)
+    rows = dict(row[:2] for row in measured_facts(specimen).rows)
     assert rows["damping ratio"] == "0.450, - %"
     assert rows["loss factor"] == "0.00900, -"
     assert rows["read from"] == "modes.csv: means of 1 to 2 hits a mode; columns not used: comment"
     assert "of a single hit, from the table" in rows["repeatability"]
-    document = plate_keys("forward", 0, specimen)
-    ratios = [row["damping_ratio"] for row in document["damping"]]
+    ratios = [row["damping_ratio"] for row in plate_keys("forward", 0, specimen)["damping"]]
     np.testing.assert_allclose(ratios, [0.0045, np.nan], rtol=1e-12)
     assert "damping" not in plate_keys("forward", 0, cb.read_plate("A1"))
 
 
-def test_the_example_of_a_table_is_the_panel_of_the_other_example() -> None:
-    examples = Path(__file__).parents[2] / "examples"
-    found, listed = (cb.read_plate(examples / f"{name}.toml").measurement for name in ("panel_hits", "panel"))
+def test_the_example_of_a_table_is_the_panel_of_the_other_example(monkeypatch) -> None:
+    # a table lies beside its plate file, from wherever this is named
+    monkeypatch.chdir(Path(__file__).parents[2])
+    found, listed = (cb.read_plate(f"examples/{name}.toml").measurement for name in ("panel_hits", "panel"))
     # means of five hits that scatter by 0.2 %, one of them left out
     np.testing.assert_allclose(found.frequencies, listed.frequencies, rtol=2e-3)
-    assert found.frequency_sd is not None
     assert np.all(found.frequency_sd < 0.006 * found.frequencies)
     assert found.origin == "panel_hits.csv: means of 4 to 5 hits a mode"
 
@@ -220,8 +202,6 @@ def packed(size: int) -> bytes:
         ("mode,hz\n", "line 1: no rows below the heads"),
         (b"\x00\x01\x02" * 50, "no column of frequencies"),
         ("hz\n" + "".join(f"{100 + i}\n" for i in range(101)), "too many modes, received 101"),
-        ("2;101,5\n1;305,25\n", "no column of frequencies"),
-        ("mode;left [Hz];right [Hz]\n1;101,5;101,6\n", "name it in [measurement.columns]"),
         ("hit,1,2\n1,101,5,305,2\n", "decimal commas need another separator"),
         (wide(";", THREE, first="hit").replace("305.2", "13.05,2"), "not a number"),
         ("hit;f1 [Hz];f2 [kHz]\n1;101,5;0,305\n", "units hz and khz beside each other"),
@@ -242,16 +222,6 @@ def test_what_is_wrong_has_its_line_and_column(refused, content: str | bytes, sa
     assert len(problems[0]) < 400
 
 
-def test_a_wide_table_has_the_scatter_of_its_hits(measured) -> None:
-    rows = (f"{m},{i},{f}" for i, hit in enumerate(TAPPED, 1) for m, f in enumerate(hit, 1))
-    meant = measured("\n".join(["mode,hit,hz", *rows, ""])).frequency_sd
-    found = measured(wide(";", THREE, first="hit", mark=",")).frequency_sd
-    np.testing.assert_allclose(found, meant, rtol=1e-12)
-
-
-SIDES = "mode;left [Hz];right [Hz]\n1;101,5;9\n2;305,25;9\n3;333;9\n"
-
-
 @pytest.mark.parametrize(
     ("content", "choices", "right"),
     [
@@ -262,9 +232,7 @@ SIDES = "mode;left [Hz];right [Hz]\n1;101,5;9\n2;305,25;9\n3;333;9\n"
         ("who;a;b\nx;1;101,5\ny;2;305,25\nz;3;333\n", ("a", "b"), "b"),
     ],
 )
-def test_columns_that_may_be_the_frequencies_are_told_apart_by_their_name(
-    measured, read, content: str, choices: tuple[str, ...], right: str
-) -> None:
+def test_columns_that_may_be_the_frequencies_are_told_apart_by_name(measured, read, content, choices, right):
     with pytest.raises(PlateFileError, match=r"measurement\.columns") as caught:
         read(content)
     assert caught.value.choices == choices

@@ -8,29 +8,36 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from cpam_bayes.forward_model.calculix import run
 from cpam_bayes.forward_model.calculix.deck import Element, grid_lines, plate_deck
-from cpam_bayes.forward_model.calculix.run import (
-    PROGRAM_VARIABLE,
-    CalculixError,
-    deformation_modes,
-    read_displacements,
-    read_eigenvalues,
-    run_deck,
-)
+from cpam_bayes.forward_model.calculix.run import CalculixError, deformation_modes, run_deck
 from cpam_bayes.plate import Material, Sensor, Specimen, builtin
 from cpam_bayes.plate.layup import parse_layup
 from tests.plates import with_plate
 
 N_MODES = 6
 MISSING = -1.0
+C1 = builtin("C1")
+ONE_TOO_MANY, ONE_TOO_FEW = ([-0.15, 0.02, 4e5, 1e6], 1), ([-0.15, 0.02, 4e5, 1e6], 3)
+OTHERS = [([0.02, 4e5, 1e6], 0), ([0.1, -4e5, 1e6], 1), ([0.1], 1)]
+NO_DECK: dict[str, tuple[Specimen, dict[str, float]]] = {
+    "2 unknown angles": (with_plate("C1", layup=parse_layup("[(?/?)_2]_s")), {}),
+    r"outline from plate\.msh": (with_plate("C1", mesh=Path("plate.msh")), {}),
+    "800 layers": (with_plate("C1", layup=parse_layup("[(0/90)_400]")), {}),
+    "G23 missing": (C1, {"G23": MISSING}),
+    "received E1 = 1.212e": (C1, {"E2": 0.0}),
+    "positive moduli": (C1, {"G13": float("nan")}),
+    "positive definite": (C1, {"nu12": 1.0}),
+    "positive definite compliance": (C1, {"nu12": 0.9, "E1": 10e9}),
+}
 
 
 def constants(specimen: Specimen) -> dict[str, float]:
     return {name: float(value) for name, value in specimen.material.complete().items()}
 
 
-def text_of(specimen: Specimen, element: Element, **options: int) -> str:
-    return plate_deck(specimen, constants(specimen), element, N_MODES, **options).text
+def text_of(specimen: Specimen, element: Element = "brick", in_plane: int | None = 16) -> str:
+    return plate_deck(specimen, constants(specimen), element, N_MODES, in_plane=in_plane).text
 
 
 def data(text: str, card: str) -> str:
@@ -57,8 +64,7 @@ def height_of_run(text: str, run: int) -> float:
 
 def test_each_run_of_plies_has_bricks_of_its_thickness_and_its_axes() -> None:
     # [(0/90)_8]_s: 32 plies, the two 90s at the midplane are one run.
-    text = text_of(builtin("D2"), "brick", in_plane=16)
-    ply = 3.2e-3 / 32
+    text, ply = text_of(builtin("D2")), 3.2e-3 / 32
     sections = re.findall(r"SOLID SECTION, ELSET=PLIES_(\d+), .*ORIENTATION=(\w+)", text)
     angles = []
     for _, name in sections:
@@ -75,7 +81,7 @@ def test_each_run_of_plies_has_bricks_of_its_thickness_and_its_axes() -> None:
     ("layup", "first"), [("[0]", 1.0), ("[0_20]", 1.0), ("[0/90]", 0.5), ("[30_3/-45]", 0.75)]
 )
 def test_few_runs_of_plies_still_have_four_layers_of_bricks(layup: str, first: float) -> None:
-    text = text_of(with_plate("D2", layup=parse_layup(layup)), "brick", in_plane=16)
+    text = text_of(with_plate("D2", layup=parse_layup(layup)))
     assert height_of_run(text, 1) == pytest.approx(first * 3.2e-3)
     z = np.unique(np.round(nodes_of(text)[:, 2], 12))
     # A layer has nodes on its two faces and on its middle.
@@ -84,7 +90,7 @@ def test_few_runs_of_plies_still_have_four_layers_of_bricks(layup: str, first: f
 
 
 def test_plies_are_transversely_isotropic() -> None:
-    text = text_of(builtin("C1"), "brick", in_plane=16)
+    text = text_of(builtin("C1"))
     E1, E2, E3, nu12, nu13, nu23, G12, G13, G23 = numbers(text, "ELASTIC, TYPE=ENGINEERING CONSTANTS")
     assert (E1, E2, nu12, G12) == (121.2e9, 9.34e9, 0.23, 6.25e9)
     assert (E3, nu13, G13) == (E2, nu12, G12)
@@ -97,31 +103,30 @@ def test_plies_are_transversely_isotropic() -> None:
 @pytest.mark.parametrize("nu12", [0.04, 0.15])
 def test_an_orthotropic_ply_is_positive_definite_in_three_dimensions(nu12: float) -> None:
     material = Material("orthotropic", {"E1": 0.9e9, "E2": 11e9, "nu12": nu12, "G12": 0.7e9}, {}, None)
-    text = text_of(replace(builtin("C1"), material=material), "brick", in_plane=16)
     # nu12 of 0.15 is none that E3 = E2 and nu13 = nu12 would allow
-    assert numbers(text, "ELASTIC") == [0.9e9, 11e9, 0.9e9, nu12, 0.0, 0.0, 0.7e9, 0.7e9, 0.7e9]
+    expected = [0.9e9, 11e9, 0.9e9, nu12, 0.0, 0.0, 0.7e9, 0.7e9, 0.7e9]
+    assert numbers(text_of(replace(C1, material=material)), "ELASTIC") == expected
 
 
 @pytest.mark.parametrize(
-    ("edges", "element", "held"),
+    ("edges", "of_bricks", "of_shells"),
     [
-        ("CFFF", "brick", ["X0, 1", "X0, 2", "X0, 3"]),
-        ("CFFF", "shell", ["X0, 1", "X0, 2", "X0, 3", "X0, 4", "X0, 5"]),
+        ("CFFF", "X0, 1; X0, 2; X0, 3", "X0, 1; X0, 2; X0, 3; X0, 4; X0, 5"),
         # Simply supported: the displacement along the edge and the turning of a normal along it.
-        ("SFFS", "brick", ["X0, 2", "X0, 3", "Y1, 1", "Y1, 3"]),
-        ("SFFS", "shell", ["X0, 2", "X0, 3", "X0, 4", "Y1, 1", "Y1, 3", "Y1, 5"]),
-        ("FFFF", "brick", []),
+        ("SFFS", "X0, 2; X0, 3; Y1, 1; Y1, 3", "X0, 2; X0, 3; X0, 4; Y1, 1; Y1, 3; Y1, 5"),
     ],
 )
-def test_edges_hold_what_their_condition_says(edges: str, element: Element, held: list[str]) -> None:
-    text = text_of(with_plate("D2", edges=edges), element, in_plane=16)
-    assert data(text, "BOUNDARY").splitlines() == [f"EDGE_{row}" for row in held]
+def test_edges_hold_what_their_condition_says(edges: str, of_bricks: str, of_shells: str) -> None:
+    for element, held in (("brick", of_bricks), ("shell", of_shells)):
+        text = text_of(with_plate("D2", edges=edges), element)
+        assert data(text, "BOUNDARY").splitlines() == [f"EDGE_{row}" for row in held.split("; ")]
+    assert data(text_of(with_plate("D2", edges="FFFF")), "BOUNDARY") == ""
 
 
 @pytest.mark.parametrize("element", ["shell", "brick"])
-def test_lines_and_numbers_fit_what_both_programs_read(element: Element) -> None:
+def test_lines_numbers_and_any_name_fit_what_both_programs_read(element: Element) -> None:
     specimen = with_plate("D2", layup=parse_layup("[12.345/-77.77/30]"), length=1 / 7)
-    heading, *lines = data(text_of(specimen, element, in_plane=16), r"\w+").splitlines()
+    heading, *lines = data(text_of(specimen, element), r"\w+").splitlines()
     assert heading.startswith("Plate D2")
     for line in lines:
         fields = line.rstrip(",").split(",")
@@ -129,17 +134,14 @@ def test_lines_and_numbers_fit_what_both_programs_read(element: Element) -> None
         # CalculiX drops what stands after the 20th character of a number.
         assert all(len(field.strip()) <= 20 for field in fields)
         assert len(line) <= 132
-
-
-def test_a_name_of_any_characters_gives_a_heading_of_one_line() -> None:
-    specimen = replace(builtin("C1"), name="*STEP\n*plaque \N{GREEK SMALL LETTER ALPHA}")
-    assert text_of(specimen, "shell").splitlines()[1].startswith("Plate *STEP?*plaque ?, layup")
+    strange = replace(specimen, name="*STEP\n*plaque \N{GREEK SMALL LETTER ALPHA}")
+    assert text_of(strange, element).splitlines()[1].startswith("Plate *STEP?*plaque ?, layup")
 
 
 @pytest.mark.parametrize(("element", "z"), [("shell", 0.0), ("brick", 1.6e-3)])
 def test_known_masses_sit_on_vertices_at_their_places(element: Element, z: float) -> None:
     places = [(0.0991, 0.0007), (0.1, 0.052), (0.0333, 0.0444)]
-    sensors = tuple(Sensor(1e-3 * (k + 1), *place) for k, place in enumerate(places))
+    sensors = tuple(Sensor(1e-3 * k, *place) for k, place in enumerate(places, start=1))
     specimen = replace(builtin("D2"), sensors=sensors)
     deck = plate_deck(specimen, constants(specimen), element, N_MODES, in_plane=32)
     last = deck.mesh.elements[..., 0].size
@@ -158,108 +160,58 @@ def test_grid_lines_narrow_towards_edges_and_meet_every_point() -> None:
     assert {0.5, 0.97} <= set(lines)
 
 
-C1 = builtin("C1")
-NO_DECK: dict[str, tuple[Specimen, dict[str, float], object, int]] = {
-    "2 unknown angles": (with_plate("C1", layup=parse_layup("[(?/?)_2]_s")), {}, "brick", N_MODES),
-    r"outline from plate\.msh": (with_plate("C1", mesh=Path("plate.msh")), {}, "brick", N_MODES),
-    "element: received 'tube', accepted: shell, brick": (C1, {}, "tube", N_MODES),
-    "number of modes: received 0": (C1, {}, "brick", 0),
-    "800 layers": (with_plate("C1", layup=parse_layup("[(0/90)_400]")), {}, "brick", N_MODES),
-    "G23 missing": (C1, {"G23": MISSING}, "brick", N_MODES),
-    "received E1 = 1.212e": (C1, {"E2": 0.0}, "brick", N_MODES),
-    "positive moduli": (C1, {"G13": float("nan")}, "brick", N_MODES),
-    "positive definite": (C1, {"nu12": 1.0}, "brick", N_MODES),
-    "positive definite compliance": (C1, {"nu12": 0.9, "E1": 10e9}, "brick", N_MODES),
-}
-
-
 @pytest.mark.parametrize("said", NO_DECK)
 def test_what_has_no_deck_is_refused(said: str) -> None:
-    specimen, changes, element, n_modes = NO_DECK[said]
+    specimen, changes = NO_DECK[said]
     given = {k: v for k, v in {**constants(C1), **changes}.items() if v != MISSING}
     with pytest.raises(ValueError, match=said):
-        plate_deck(specimen, given, element, n_modes)  # type: ignore[arg-type]
+        plate_deck(specimen, given, "brick", N_MODES)
+    with pytest.raises(ValueError, match="element: received 'tube', accepted: shell, brick"):
+        plate_deck(C1, constants(C1), "tube", N_MODES)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="number of modes: received 0"):
+        plate_deck(C1, constants(C1), "brick", 0)
 
 
 # Typed by hand after the layout of CalculiX 2.20: a free plate with two deformation modes.
-RESULTS = """
-     E I G E N V A L U E   O U T P U T
-
- MODE NO    EIGENVALUE                       FREQUENCY
-                                     REAL PART            IMAGINARY PART
-                           (RAD/TIME)      (CYCLES/TIME     (RAD/TIME)
-
-      1  -0.1500000E+00   0.0000000E+00   0.0000000E+00   0.3872983E+00
-      2   0.2000000E-01   0.1414214E+00   0.2250791E-01   0.0000000E+00
-      3   0.3947842E+06   0.6283185E+03   0.1000000E+03   0.0000000E+00
-      4   0.1579137E+07   0.1256637E+04   0.2000000E+03   0.0000000E+00
-
-     P A R T I C I P A T I O N   F A C T O R S
-
-MODE NO.   X-COMPONENT     Y-COMPONENT     Z-COMPONENT     X-ROTATION      Y-ROTATION
-
-      1   0.1000000E+01   0.0000000E+00   0.0000000E+00   0.0000000E+00   0.0000000E+00
-
-                    E I G E N V A L U E    N U M B E R     1
-
- displacements (vx,vy,vz) for set SURFACES and time  0.1000000E+01
-
-         3  1.000000E+00  2.000000E+00 -3.000000E+00
-         7  4.000000E+00  5.000000E-01  6.000000E+00
-
-                    E I G E N V A L U E    N U M B E R     2
-
- displacements (vx,vy,vz) for set SURFACES and time  0.1000000E+01
-
-         3  0.000000E+00  0.000000E+00  1.000000E+00
-         7  0.000000E+00  0.000000E+00 -1.000000E+00
-"""
+RESULTS = Path(__file__).with_name("results.dat").read_text("utf-8")
 
 
-def test_eigenvalues_are_read_with_their_signs_and_one_that_is_no_number_is_named() -> None:
-    assert_allclose(read_eigenvalues(RESULTS), [-0.15, 0.02, 394784.2, 1579137.0])
+def test_eigenvalues_have_their_signs_and_displacements_the_order_of_the_nodes() -> None:
+    assert_allclose(run.read_eigenvalues(RESULTS), [-0.15, 0.02, 394784.2, 1579137.0])
     for number in ("NaN", "**************"):
         with pytest.raises(CalculixError, match="no number for mode 3"):
-            read_eigenvalues(RESULTS.replace("0.3947842E+06", number))
-
-
-def test_displacements_are_read_in_the_order_of_the_nodes() -> None:
-    found = read_displacements(RESULTS, np.array([7, 3]))
+            run.read_eigenvalues(RESULTS.replace("0.3947842E+06", number))
+    found = run.read_displacements(RESULTS, np.array([7, 3]))
     assert_allclose(found[0], [[4.0, 0.5, 6.0], [1.0, 2.0, -3.0]])
     assert_allclose(found[1, :, 2], [-1.0, 1.0])
     with pytest.raises(CalculixError, match="no displacement of node 9"):
-        read_displacements(RESULTS, np.array([9]))
+        run.read_displacements(RESULTS, np.array([9]))
 
 
-@pytest.mark.parametrize(
-    ("eigenvalues", "n_rigid"),
-    [
-        ([-0.15, 0.02, 4e5, 1e6], 1),  # a motion too many
-        ([-0.15, 0.02, 4e5, 1e6], 3),  # one too few
-        ([0.02, 4e5, 1e6], 0),
-        ([0.1, -4e5, 1e6], 1),
-        ([0.1], 1),
-    ],
-)
+@pytest.mark.parametrize(("eigenvalues", "n_rigid"), [ONE_TOO_MANY, ONE_TOO_FEW, *OTHERS])
 def test_a_wrong_number_of_rigid_body_motions_is_an_error(eigenvalues: list[float], n_rigid: int) -> None:
     assert_array_equal(deformation_modes(np.array([5e5, -0.3, 4e5, 0.1]), 2), [2, 0])
     with pytest.raises(CalculixError, match=f"the edges leave {n_rigid} rigid-body motions"):
         deformation_modes(np.array(eigenvalues), n_rigid)
 
 
-def program(folder: Path, monkeypatch: pytest.MonkeyPatch, script: str) -> str:
-    """A program in CalculiX's place, and a deck for it."""
-    path = folder / "my ccx"
-    path.write_text(f"#!/bin/sh\n{script}\n")
-    path.chmod(0o755)
-    monkeypatch.setenv(PROGRAM_VARIABLE, str(path))
-    return "*HEADING\n"
+@pytest.fixture
+def run_by(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Run a deck by a script in CalculiX's place."""
+
+    def running(script: str, **options: float) -> str:
+        path = tmp_path / "my ccx"
+        path.write_text(f"#!/bin/sh\n{script}\n")
+        path.chmod(0o755)
+        monkeypatch.setenv(run.PROGRAM_VARIABLE, str(path))
+        return run_deck("*HEADING\n", **options)
+
+    return running
 
 
-def test_frequencies_come_back_through_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frequencies_come_back_through_files(run_by, tmp_path: Path) -> None:
     (tmp_path / "results").write_text(RESULTS)
-    script = f'test -f plate.inp && cp "{tmp_path / "results"}" plate.dat'
-    assert run_deck(program(tmp_path, monkeypatch, script)) == RESULTS
+    assert run_by(f'test -f plate.inp && cp "{tmp_path / "results"}" plate.dat') == RESULTS
 
 
 @pytest.mark.parametrize(
@@ -271,9 +223,6 @@ def test_frequencies_come_back_through_files(tmp_path: Path, monkeypatch: pytest
         ("exec sleep 60", r"within 0\.2 s"),
     ],
 )
-def test_a_run_that_fails_shows_why_and_the_last_lines_of_the_program(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str, said: str
-) -> None:
-    deck = program(tmp_path, monkeypatch, script)
+def test_a_run_that_fails_shows_why_and_the_last_lines_of_the_program(run_by, script: str, said: str) -> None:
     with pytest.raises(CalculixError, match=said):
-        run_deck(deck, timeout=0.2 if "sleep" in script else 60.0)
+        run_by(script, timeout=0.2 if "sleep" in script else 60.0)

@@ -14,8 +14,6 @@ from cpam_bayes.plate.layup import parse_layup
 from tests.plates import with_plate
 
 pytestmark = pytest.mark.needs_ccx
-
-
 SLOW = pytest.mark.slow
 
 
@@ -46,8 +44,7 @@ def test_both_elements_agree_with_energy_consistent_shear(
     found = solve_modes(specimen, reference_constants(specimen), n_modes, element=element)
     expected = converged_model(specimen, NO_PARAMETERS, n_modes).modes(np.empty(0))
     assert_allclose(found.frequencies, [mode.frequency for mode in expected], rtol=tolerance)
-    assert [m.kind for m in found.modes] == [m.kind for m in expected]
-    assert [m.label for m in found.modes] == [m.label for m in expected]
+    assert [(m.kind, m.label) for m in found.modes] == [(m.kind, m.label) for m in expected]
 
 
 @pytest.mark.parametrize("element", ["shell", "brick"])
@@ -65,19 +62,16 @@ def test_a_small_known_mass_lowers_each_frequency_as_rayleigh_says(element: Elem
     mass, x, y = 0.2e-3, 0.25, 0.28
     bare = with_plate("A2", edges="FFFF")
     loaded = replace(bare, sensors=(Sensor(mass, x, y),))
-    known = reference_constants(bare)
-    before = solve_modes(bare, known, 4, element=element, in_plane=100)
-    after = solve_modes(loaded, known, 4, element=element, in_plane=100).frequencies
-    plate = bare.plate
+    plate, known = bare.plate, reference_constants(bare)
+    before, after = (solve_modes(s, known, 4, element=element, in_plane=100) for s in (bare, loaded))
     weight = np.ones(before.shapes.shape[-1])
     weight[[0, -1]] = 0.5
     weight /= weight.sum()
     mean_square = np.einsum("mfij,i,j->m", before.shapes**2, weight, weight)
     at_corner = (before.shapes[:, :, -1, -1] ** 2).sum(axis=1)
-    total = plate.density * plate.thickness * plate.area
-    expected = -mass * at_corner / mean_square / (2 * total)
+    expected = -mass * at_corner / mean_square / (2 * plate.density * plate.thickness * plate.area)
     # Interpolated shapes err by 2 %; the second order of the mass is 0.1 %.
-    assert_allclose(np.log(after / before.frequencies), expected, rtol=0.04)
+    assert_allclose(np.log(after.frequencies / before.frequencies), expected, rtol=0.04)
 
 
 def test_a_deck_that_calculix_cannot_read_shows_its_words() -> None:
