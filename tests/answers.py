@@ -4,6 +4,7 @@ import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from tests.stacking.cases import answer, mixture
 
 CHAINS = EnsembleSettings(walkers=16, round_steps=300, effective=100.0, most_steps=600)
 SWARM = SwarmSettings(particles=20, iterations=30)
+SMALL: dict[str, Any] = {"settings": SWARM, "chains": CHAINS}
 LIST = "frequencies_hz = [113.0, 166.0, 216.0, 287.0, 298.0, 494.0]\n"
 
 
@@ -33,8 +35,8 @@ def poles(folder: Path) -> Result:
     f = np.arange(50.0, 200.0, 0.5)
     h = -((f / 120.0) ** 2) / (1.0 - (f / 120.0) ** 2 + 0.02j * f / 120.0)
     h = h + 1e-3 * np.random.default_rng(0).standard_normal((2, f.size)).T @ [1.0, 1.0j]
-    rows = "\n".join(f"{x},{y.real:.8g},{y.imag:.8g}" for x, y in zip(f, h, strict=True))
-    (folder / "tap.csv").write_text(f"hz,real,imag\n{rows}\n", encoding="utf-8")
+    rows = [f"{x},{y.real:.8g},{y.imag:.8g}\n" for x, y in zip(f, h, strict=True)]
+    (folder / "tap.csv").write_text("".join(["hz,real,imag\n", *rows]), encoding="utf-8")
     return cb.poles(folder / "tap.csv")
 
 
@@ -58,13 +60,11 @@ SLOW: dict[str, Callable[[Path], Result]] = {
     "predict": lambda folder: cb.predict(answered("identify, emcee"), "A2"),
     "prove": proved,
     "report": lambda folder: cb.report("A1", quick=True),
-    "sensitivity": lambda folder: cb.sensitivity(
-        "A1", levels=(0.01,), groups=3, settings=SWARM, chains=CHAINS
-    ),
+    "sensitivity": lambda folder: cb.sensitivity("A1", levels=(0.01,), groups=3, **SMALL),
     "sequence": lambda folder: stacking_result(answer(), mixture(), None, 0, 5),
 }
-LONG = {"calibrate": [pytest.mark.weekly]}
-EVERY = [*QUICK, *(pytest.param(name, marks=[pytest.mark.slow, *LONG.get(name, [])]) for name in SLOW)]
+MARKS = dict.fromkeys(SLOW, (pytest.mark.slow,)) | {"calibrate": (pytest.mark.slow, pytest.mark.weekly)}
+EVERY = [*QUICK, *(pytest.param(name, marks=MARKS[name]) for name in SLOW)]
 
 
 @once_a_run

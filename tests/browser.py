@@ -1,7 +1,4 @@
-"""Chromium without a window, told what to do over a pipe: a page as a reader sees it.
-
-The messages are those of the DevTools protocol, each ended by a zero byte.
-"""
+"""Chromium without a window, told over a pipe what to do, by the DevTools protocol; a page as it is seen."""
 
 import base64
 import json
@@ -10,7 +7,7 @@ import select
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,31 +28,22 @@ for number, end in enumerate(ends, 3):
     os.dup2(end, number)
 os.execvp(sys.argv[3], sys.argv[3:])
 """
-
-
 # Text whose contrast against what lies behind it is below 4.5, with the ratio.
 _FAINT = """
 (() => {
-  const luminance = (c) => {
-    const [r, g, b] = c.map((v) => v / 255).map((v) => v < 0.04 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
-    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
-  };
+  const linear = (v) => v < 0.04 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
+  const luminance = (c) => [0.2126, 0.7152, 0.0722].reduce((sum, w, i) => sum + w * linear(c[i] / 255), 0);
   const rgba = (text) => text.match(/[\\d.]+/g).map(Number);
   const behind = (element) => {
-    for (let at = element; at; at = at.parentElement) {
-      const colour = rgba(getComputedStyle(at).backgroundColor);
-      if (colour.length < 4 || colour[3] === 1) return colour.slice(0, 3);
-    }
-    return [255, 255, 255];
+    const colour = element ? rgba(getComputedStyle(element).backgroundColor) : [255, 255, 255];
+    return colour.length < 4 || colour[3] === 1 ? colour.slice(0, 3) : behind(element.parentElement);
   };
-  const faint = [];
-  for (const element of document.body.querySelectorAll("*")) {
-    if (![...element.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim())) continue;
+  const written = [...document.body.querySelectorAll("*")].filter((element) =>
+    [...element.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim()));
+  return written.map((element) => {
     const [a, b] = [rgba(getComputedStyle(element).color).slice(0, 3), behind(element)].map(luminance);
-    const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
-    if (ratio < 4.5) faint.push(element.tagName + " " + ratio.toFixed(2));
-  }
-  return faint;
+    return [element.tagName, (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05)];
+  }).filter(([_, ratio]) => ratio < 4.5).map(([name, ratio]) => name + " " + ratio.toFixed(2));
 })()
 """
 _OPEN_ALL = "document.querySelectorAll('details').forEach((d) => { d.open = true })"
@@ -96,17 +84,15 @@ class Browser:
         """The answer to one call of the protocol; {} of one that failed and may."""
         self._number += 1
         message: dict[str, Any] = {"id": self._number, "method": method, "params": params}
-        if self.session:
-            message["sessionId"] = self.session
+        message |= {"sessionId": self.session} if self.session else {}
         os.write(self.to, json.dumps(message).encode() + b"\0")
-        while True:
-            said = self._next()
-            if said.get("id") == self._number:
-                assert may_fail or "error" not in said, said
-                return dict(said.get("result", {}))
+        while (said := self._next()).get("id") != self._number:
+            pass
+        assert may_fail or "error" not in said, said
+        return dict(said.get("result", {}))
 
     def show(self, page: Path, width: int, height: int = 900) -> None:
-        """Open a page of the disk in a window of that width, and wait until it is whole."""
+        """As `visit`, a page of the disk."""
         self.visit(page.resolve().as_uri(), width, height)
 
     def visit(self, url: str, width: int, height: int = 900) -> None:
@@ -128,9 +114,8 @@ class Browser:
         """Wait until an expression on the page is true, over a change of the page too."""
         later = f"new Promise((done) => setTimeout(() => done(!!({expression})), 100))"
         for _ in range(_MOST_LOOKS):
-            said = self.call(
-                "Runtime.evaluate", True, expression=later, awaitPromise=True, returnByValue=True
-            )
+            asked = {"expression": later, "awaitPromise": True, "returnByValue": True}
+            said = self.call("Runtime.evaluate", True, **asked)
             if said.get("result", {}).get("value"):
                 return
         raise AssertionError(f"never: {expression}")
@@ -149,10 +134,7 @@ class Browser:
             self._unread += chunk
         text, _, self._unread = self._unread.partition(b"\0")
         said: dict[str, Any] = json.loads(text)
-        self._note(said.get("method", ""), said.get("params", {}))
-        return said
-
-    def _note(self, method: str, params: Mapping[str, Any]) -> None:
+        method, params = said.get("method", ""), said.get("params", {})
         self._events.append(method)
         if method == "Network.requestWillBeSent":
             self.requests.append(params["request"]["url"])
@@ -162,6 +144,7 @@ class Browser:
             self.console.append(str(params["args"]))
         elif method == "Runtime.exceptionThrown":
             self.console.append(params["exceptionDetails"]["text"])
+        return said
 
 
 @contextmanager
@@ -172,14 +155,11 @@ def open_browser() -> Iterator[Browser]:
     # a process of the browser may still write into its profile when it has ended
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         ends = (str(from_us), str(to_us))
-        process = subprocess.Popen(
-            [sys.executable, "-c", _LAUNCH, *ends, PROGRAM, *_OPTIONS, f"--user-data-dir={profile}"],
-            pass_fds=(from_us, to_us),
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        os.close(from_us)
-        os.close(to_us)
+        command = [sys.executable, "-c", _LAUNCH, *ends, PROGRAM, *_OPTIONS, f"--user-data-dir={profile}"]
+        silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        process = subprocess.Popen(command, pass_fds=(from_us, to_us), **silent)
+        for end in (from_us, to_us):
+            os.close(end)
         browser = Browser(to_browser, from_browser)
         try:
             target = browser.call("Target.createTarget", url="about:blank")["targetId"]
@@ -189,23 +169,22 @@ def open_browser() -> Iterator[Browser]:
                 browser.call(f"{domain}.enable")
             yield browser
         finally:
-            os.close(to_browser)
-            os.close(from_browser)
+            for end in (to_browser, from_browser):
+                os.close(end)
             process.terminate()
             process.wait(_TIME_LIMIT)
 
 
 def faults(browser: Browser, page: Path, width: int) -> list[str]:
     """What a reader of a page of the disk would complain of, its folded parts opened too."""
-    browser.requests.clear()
-    browser.console.clear()
+    for former in (browser.requests, browser.console):
+        former.clear()
     browser.show(page, width)
     found = _wider(browser, width)
     browser.value(_OPEN_ALL)
-    found += [f"not seen: {alt}" for alt in browser.value(_UNSEEN)]
-    found += [f"small letters: {alt}" for alt in browser.value(_SMALL)]
-    found += disturbing(browser, width)
-    found += [f"console: {text}" for text in browser.console]
+    for what, expression in (("not seen", _UNSEEN), ("small letters", _SMALL)):
+        found += [f"{what}: {alt}" for alt in browser.value(expression)]
+    found += disturbing(browser, width) + [f"console: {text}" for text in browser.console]
     asked = [url for url in browser.requests if not url.startswith("data:")]
     return found + [f"asked for {url}" for url in asked if url != page.as_uri()]
 

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Generator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +12,18 @@ from tests import shared
 from tests.plate_file import MEASURED, PLATE
 
 # Before a test module loads numpy: two threads slow stacked eigenproblems down.
-for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[_name] = "1"
+os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
+@dataclass(frozen=True)
 class FailuresAtOnce:
     """Names what failed when it fails: a run that is cut off has said it."""
 
-    def __init__(self, config: pytest.Config) -> None:
-        self._config = config
+    config: pytest.Config
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.failed:
-            terminal = self._config.pluginmanager.get_plugin("terminalreporter")
+            terminal = self.config.pluginmanager.get_plugin("terminalreporter")
             last = report.longreprtext.splitlines()[-20:]
             terminal.write_line("\n".join(("", f"FAILED {report.nodeid} ({report.when})", *last)))
 
@@ -40,15 +40,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def _run_directory(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """What commands keep by default is kept in the directory of the run, never in a user's cache.
-
-    The processes of pytest-xdist share the results of ``tests.shared``: their directory lies in that of the
-    whole run.
-    """
+    """What commands keep by default is kept in the directory of the run, which its processes share."""
     process = tmp_path_factory.getbasetemp()
     run = process.parent if "PYTEST_XDIST_WORKER" in os.environ else process
-    os.environ["CPAM_BAYES_CACHE"] = str(run / "cache")
-    os.environ[shared.DIRECTORY] = str(run / "shared")
+    os.environ |= {"CPAM_BAYES_CACHE": str(run / "cache"), shared.DIRECTORY: str(run / "shared")}
     (run / "shared").mkdir(exist_ok=True)
 
 
@@ -88,13 +83,11 @@ def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[object, str, 
     from cpam_bayes.cli import main
 
     def run_here(*argv: object) -> tuple[object, str, str]:
-        status: object
         try:
-            status = main([str(word) for word in argv])
+            status: object = main([str(word) for word in argv])
         except SystemExit as leaving:
             status = leaving.code
-        shown = capsys.readouterr()
-        return status, shown.out, shown.err
+        return status, *capsys.readouterr()
 
     return run_here
 
@@ -128,11 +121,8 @@ def few_causes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption(
-        "--no-skips",
-        action="store_true",
-        help="a skipped test fails: for a machine that has all that the tests need",
-    )
+    said = "a skipped test fails: for a machine that has all that the tests need"
+    parser.addoption("--no-skips", action="store_true", help=said)
 
 
 def _unless_allowed(report: Any, config: pytest.Config) -> Any:

@@ -25,19 +25,15 @@ def hybrid(**plate: Any) -> dict[str, Any]:
     return file
 
 
-def of_layers(
-    layers: list[tuple[float, dict[str, Any]]], size_mm: tuple[float, float], edges: str = "FFFF"
-) -> dict[str, Any]:
+def of_layers(layers, size_mm, edges="FFFF"):
     """A plate of layers at 0 deg, bottom to top: thickness in mm and the table of its material."""
     names = [chr(ord("a") + i) for i in range(len(layers))]
     named = list(zip(names, layers, strict=True))
     sizes = {"length_mm": size_mm[0], "width_mm": size_mm[1], "thickness_mm": sum(t for t, _ in layers)}
-    return {
-        "name": "layers",
-        "plate": {**sizes, "layup": f"[{'/'.join(names)}]", "edges": edges},
-        "ply": [{"name": name, "material": name, "thickness_mm": t} for name, (t, _) in named],
-        "material": {name: material for name, (_, material) in named},
-    }
+    plate = {**sizes, "layup": f"[{'/'.join(names)}]", "edges": edges}
+    plies = [{"name": name, "material": name, "thickness_mm": t} for name, (t, _) in named]
+    materials = {name: material for name, (_, material) in named}
+    return {"name": "layers", "plate": plate, "ply": plies, "material": materials}
 
 
 def isotropic(E_GPa: float, density_kg_m3: float, nu: float = 0.3) -> dict[str, Any]:

@@ -5,11 +5,7 @@ from typing import Any
 
 import openpyxl
 
-TABLE = """mode,hz,damping
-1,101.5,0.004
-2,305.25,0.002
-3,333,
-"""
+TABLE = "mode,hz,damping\n1,101.5,0.004\n2,305.25,0.002\n3,333,\n"
 MODES = [101.5, 305.25, 333.0]
 # hits of three modes, whose means are these
 TAPPED = [[101.4, 305.2, 333.1], [101.6, 305.3, 332.9]]
@@ -29,9 +25,8 @@ def across(separator: str, heads: list[str]) -> str:
 
 def sheet(rows: list[list[Any]], *, before: list[list[Any]] | None = None) -> bytes:
     book = openpyxl.Workbook()
-    if before is not None:
-        for row in before:
-            book.active.append(row)
+    for row in before or []:
+        book.active.append(row)
     page = book.active if before is None else book.create_sheet("data")
     for row in rows:
         page.append(row)

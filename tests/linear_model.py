@@ -1,6 +1,6 @@
 """A forward model whose posterior is known in closed form."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,15 +10,14 @@ from cpam_bayes.plate import Measurement
 
 MEAN_HZ = np.array([100.0, 200.0, 300.0, 400.0])
 SLOPE_HZ = np.array([[10.0, 0.0], [0.0, 20.0], [15.0, 15.0], [20.0, -10.0]])
+BOTH = ParameterSet(tuple(Parameter(name, "", Uniform(-2.0, 2.0)) for name in ("a", "b")))
 
 
 @dataclass(frozen=True)
 class LinearModel:
     """Frequencies MEAN_HZ + SLOPE_HZ x of two parameters that are uniform on [-2, 2]."""
 
-    parameters: ParameterSet = field(
-        default=ParameterSet((Parameter("a", "", Uniform(-2.0, 2.0)), Parameter("b", "", Uniform(-2.0, 2.0))))
-    )
+    parameters: ParameterSet = BOTH
 
     def predict(self, x: np.ndarray, *, jacobian: bool = False) -> Prediction:
         x = np.atleast_2d(x)

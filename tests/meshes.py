@@ -1,11 +1,9 @@
 """Gmsh files of quadrilaterals for tests."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import meshio
 import numpy as np
@@ -23,31 +21,26 @@ class Quads:
     lines: dict[str, np.ndarray]
 
     def write(self, path: Path, *, binary: bool = False) -> Path:
-        names = list(self.lines)
-        line = "line" if not names or self.lines[names[0]].shape[1] == 2 else "line3"
-        cells: list[Any] = [(line, self.lines[name]) for name in names]
+        kinds = {2: "line", 3: "line3"}
+        cells: list[Any] = [(kinds[line.shape[1]], line) for line in self.lines.values()]
         cells.append((_KIND[self.cells.shape[1]], self.cells))
-        tags = [np.full(len(self.lines[name]), i + 1) for i, name in enumerate(names)]
+        tags = [np.full(len(line), i) for i, line in enumerate(self.lines.values(), 1)]
         tags.append(np.full(len(self.cells), 99))
-        groups = {name: np.array([i + 1, 1]) for i, name in enumerate(names)}
-        mesh = meshio.Mesh(
-            self.points,
-            cells,
-            cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
-            field_data=groups | {"plate": np.array([99, 2])},
-        )
+        groups = {name: np.array([i, 1]) for i, name in enumerate(self.lines, 1)}
+        data = {"gmsh:physical": tags, "gmsh:geometrical": tags}
+        named = groups | {"plate": np.array([99, 2])}
+        mesh = meshio.Mesh(self.points, cells, cell_data=data, field_data=named)
         meshio.write(path, mesh, file_format="gmsh22", binary=binary)
         return path
 
-    def without(self, *names: str) -> Quads:
+    def without(self, *names: str) -> Self:
         return replace(self, lines={k: v for k, v in self.lines.items() if k not in names})
 
 
 def grid(s: np.ndarray, t: np.ndarray, f: Map, order: int = 1, *, closed: bool = False) -> Quads:
     """Cells of the unit square cut at s and t, mapped by f; ``closed`` joins t = 1 with t = 0.
 
-    ``order`` 2 gives 9-node cells whose middle nodes are mapped too. Lines are named x0 (s = 0),
-    x1, y0 (t = 0) and y1.
+    ``order`` 2 : 9-node cells whose middle nodes are mapped too. Lines: x0 (s = 0), x1, y0 (t = 0), y1.
     """
     s, t = (np.interp(np.arange(order * len(c) - order + 1) / order, range(len(c)), c) for c in (s, t))
     a, b = np.meshgrid(s, t, indexing="ij")

@@ -11,7 +11,7 @@ from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import PlateState, Problem, bare_plate
 from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.plate import Specimen, builtin
-from cpam_bayes.plate.laminate import FIVE_SIXTHS, ShearModel, complete_constants, laminate_geometry
+from cpam_bayes.plate.laminate import FIVE_SIXTHS, complete_constants, laminate_geometry
 
 CARBON = {"E1": 121.2e9, "E2": 9.34e9, "nu12": 0.23, "G12": 6.25e9}
 GLASS = {"E1": 40.1e9, "E2": 8.9e9, "nu12": 0.23, "G12": 4.23e9}
@@ -19,26 +19,11 @@ CROSS_PLY_16S = tuple([0.0, 90.0] * 8 + [90.0, 0.0] * 8)
 ANGLE_PLY_16S = tuple([45.0, -45.0] * 8 + [-45.0, 45.0] * 8)
 
 
-def plate(
-    length: float,
-    width: float,
-    thickness: float,
-    density: float,
-    constants: dict[str, float],
-    layup: tuple[float, ...] = (0.0,),
-    edges: str = "FFFF",
-    shear: ShearModel = FIVE_SIXTHS,
-) -> Problem:
+def plate(length, width, thickness, density, constants, layup=(0.0,), edges="FFFF", shear=FIVE_SIXTHS):
     """A plate without unknowns; ``constants`` of E1 and nu12 alone are isotropic."""
-    state = PlateState(
-        np.asarray(length),
-        np.asarray(width),
-        np.asarray(thickness),
-        np.asarray(density),
-        complete_constants(constants, "transversely_isotropic" if "E2" in constants else "isotropic"),
-        laminate_geometry(layup),
-        shear,
-    )
+    sizes = map(np.asarray, (length, width, thickness, density))
+    symmetry = "transversely_isotropic" if "E2" in constants else "isotropic"
+    state = PlateState(*sizes, complete_constants(constants, symmetry), laminate_geometry(layup), shear)
     return bare_plate(ParameterSet(()), edges, state, lambda values: state)
 
 
@@ -48,14 +33,12 @@ def frequencies(problem: Problem, n_modes: int, tolerance: Tolerance | None = No
     return solve(found, *found.coefficients({}), n_modes).frequencies[0]
 
 
-def navier(
-    stiffness: np.ndarray, mass: np.ndarray, sides: tuple[float, float], n_modes: int, highest: int = 12
-) -> np.ndarray:
+def navier(stiffness, mass, sides, n_modes, highest=12):
     """Frequencies of a simply supported cross-ply plate, Navier's solution of the Mindlin equations, Hz.
 
-    u = U cos(ax) sin(by), v = V sin cos, w = W sin sin, phi_x = X cos sin, phi_y = Y sin cos make
-    every generalised strain one trigonometric product, so each (m, n) is a 5 x 5 eigenproblem
-    (Reddy, Mechanics of Laminated Composite Plates, section 7.2), in-plane modes included.
+    u = U cos(ax) sin(by), v = V sin cos, w = W sin sin, phi_x = X cos sin, phi_y = Y sin cos make every
+    strain one trigonometric product, so each (m, n) is a 5 x 5 eigenproblem, in-plane modes included
+    (Reddy, Mechanics of Laminated Composite Plates, section 7.2).
 
     stiffness : of the eight generalised strains (8, 8). mass : of U, V, W, X, Y (5, 5), per area.
     """

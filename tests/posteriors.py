@@ -9,8 +9,7 @@ import numpy as np
 
 def write_posterior(path: Path, draws: dict[str, Any], **attributes: Any) -> Path:
     """A ``posterior.nc`` of one chain; draws by their names in plate files, in their units."""
-    data = arviz_base.from_dict(
-        {"posterior": {k: np.asarray(v)[None] for k, v in draws.items()}}, attrs={"/": attributes}
-    )
+    of_one_chain = {"posterior": {name: np.asarray(values)[None] for name, values in draws.items()}}
+    data = arviz_base.from_dict(of_one_chain, attrs={"/": attributes})
     data.to_netcdf(str(path))
     return path

@@ -13,25 +13,15 @@ EXAMPLE = (PAGES / "example.toml").read_text("utf-8")
 ANSWER = {"constants": [], "rows": [], "rms": 0.2, "optimum": {}}
 LINES: dict[str, Any] = {"slips": [], "lines": [], "next": ""}
 FOUND = {
-    "claim": "A mass.",
-    "kind": "named",
-    "constants": [],
-    "causes": [],
-    "rows": [],
-    "nothing": 0.0,
-    **LINES,
-    "place": [[262.0, 171.0], [3.0, 3.0]],
-    "apply_said": "state it",
+    "claim": "A mass.", "kind": "named", "constants": [], "causes": [], "rows": [], "nothing": 0.0, **LINES,
+    "place": [[262.0, 171.0], [3.0, 3.0]], "apply_said": "state it",
     "apply": {"sensor": {"mass_g": "5.10", "x_mm": "262", "y_mm": "171"}},
-}
+}  # fmt: skip
 SETTLED = {**ANSWER, **LINES, "headline": "Determined.", "warnings": [], "shapes": [], "all_rows": None}
 HELD = {
-    "said": "Hold it on four soft pads.",
-    "pads_mm": [[100.0, 60.0]],
-    "hits_mm": [[10.0, 10.0]],
-    "sensor_mm": [10.0, 200.0],
-    "modes": [],
-}
+    "said": "Hold it on four soft pads.", "pads_mm": [[100.0, 60.0]], "hits_mm": [[10.0, 10.0]],
+    "sensor_mm": [10.0, 200.0], "modes": [],
+}  # fmt: skip
 SPECTRUM = [[50.0 + 10.0 * i, -20.0 if i % 10 else 0.0] for i in range(100)]
 PICKED = {"modes": [76.4, 144.4, 212.6], "spectrum": SPECTRUM, "said": []}
 

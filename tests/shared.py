@@ -43,8 +43,7 @@ def once_a_run(function: T) -> T:
 class ModelsOfTheRun(OrderedDict[str, Any]):
     """Plate models that all processes of a run share, in place of those that a process keeps for itself.
 
-    A model does not depend on the test that needs it first. Models of effects that are not the catalogue's
-    stay in the process, since their keys do not tell two functions of one name apart.
+    Those of effects that are not the catalogue's stay in the process: keys do not tell their functions apart.
     """
 
     def __init__(self, directory: Path) -> None:

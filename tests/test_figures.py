@@ -18,7 +18,6 @@ from tests.test_studies import PROJECT, SAVED, listed, quick_text, weekly_if_lon
 
 FIGURES = PROJECT / "figures"
 QUICKLY_DRAWN = "20_swarms"
-MM_PER_INCH = 25.4
 
 
 def source_of(path: Path) -> str:
@@ -28,7 +27,7 @@ def source_of(path: Path) -> str:
 
 
 @pytest.mark.parametrize("name", draw.NAMES)
-def test_a_figure_is_the_kept_one_and_legible(name: str, tmp_path: Path) -> None:
+def test_a_figure_is_the_kept_one_and_legible_and_names_its_seeds(name, tmp_path):
     drawing = draw.drawing(name)
     source = hashlib.sha256((SAVED / f"{drawing.study}.json").read_bytes()).hexdigest()
     pictures = drawing.drawn(SAVED)
@@ -37,11 +36,14 @@ def test_a_figure_is_the_kept_one_and_legible(name: str, tmp_path: Path) -> None
     for path, picture in zip(written, pictures, strict=True):
         assert path.stat().st_size < 300e3
         kept = FIGURES / path.name
-        assert source_of(path) == source
-        assert source_of(kept) == source, "drawn from other results: run figures/draw.py"
-        caption = path.with_suffix(".md").read_text(encoding="utf-8")
-        assert kept.with_suffix(".md").read_text(encoding="utf-8") == caption
+        assert source_of(path) == source == source_of(kept), "drawn from other results: run figures/draw.py"
+        ours, theirs = (png.with_suffix(".md").read_text(encoding="utf-8") for png in (path, kept))
+        assert theirs == ours
         assert faults(picture.figure) == []
+    study = (PROJECT / "studies" / f"{drawing.study}.py").read_text(encoding="utf-8")
+    if stated := re.search(r"^(SEEDS?) = (\d+)", study, re.MULTILINE):
+        last = int(stated[2])
+        assert drawing.seeds == (f"seed {last}" if stated[1] == "SEED" else f"seeds 0 to {last - 1}")
 
 
 def drawn_by(name: str) -> set[str]:
@@ -53,14 +55,14 @@ def drawn_by(name: str) -> set[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", weekly_if_long(draw.NAMES))
-def test_a_figure_is_drawn_from_a_small_run(name: str, tmp_path: Path) -> None:
+def test_a_figure_is_drawn_from_a_small_run(name, tmp_path):
     drawing = draw.drawing(name)
     (tmp_path / f"{drawing.study}.json").write_text(quick_text(drawing.study), encoding="utf-8")
     assert drawing(tmp_path, tmp_path)
 
 
 @pytest.mark.parametrize("kind", journal.KINDS)
-def test_the_same_results_give_the_same_bytes(kind: str, tmp_path: Path) -> None:
+def test_the_same_results_give_the_same_bytes(kind, tmp_path):
     drawing = draw.drawing(QUICKLY_DRAWN)
     first, again = ([path.read_bytes() for path in drawing(SAVED, tmp_path, kind)] for _ in range(2))
     assert first == again
@@ -77,19 +79,15 @@ def texts(figure: Figure) -> Iterator[tuple[str, float, Bbox]]:
                 if not (axes.axison and low - slack <= tick.get_loc() <= high + slack):
                     beyond |= {id(tick.label1), id(tick.label2)}
     for text in figure.findobj(Text):
-        assert isinstance(text, Text)
         if text.get_visible() and text.get_text().strip() and id(text) not in beyond:
             yield text.get_text(), float(text.get_fontsize()), text.get_window_extent()
 
 
 def faults(figure: Figure) -> list[str]:
     """What a reader of the printed figure would complain of."""
-    width, height = figure.get_size_inches() * MM_PER_INCH
-    found = []
-    if round(width, 6) not in (journal.SINGLE_MM, journal.DOUBLE_MM):
-        found.append(f"{width:.1f} mm wide")
-    if height > journal.TALLEST_MM:
-        found.append(f"{height:.1f} mm tall")
+    width, height = (figure.get_size_inches() * 25.4).tolist()
+    found = [f"{width:.1f} mm wide"] * (round(width, 6) not in (journal.SINGLE_MM, journal.DOUBLE_MM))
+    found += [f"{height:.1f} mm tall"] * (height > journal.TALLEST_MM)
     written = list(texts(figure))
     page = figure.bbox.padded(1.0)
     for text, points, box in written:
@@ -109,35 +107,26 @@ def faults(figure: Figure) -> list[str]:
     return found
 
 
-def test_what_is_not_legible_is_found() -> None:
+def test_what_is_not_legible_is_found():
     figure = journal.figure(100.0, 300.0)
     figure.text(0.5, 0.5, "one")
     figure.text(0.5, 0.5, "two", fontsize=5.0)
     figure.text(0.99, 0.9, "a long text at the edge")
     figure.add_subplot().plot([0.0, 1.0])
     figure.draw_without_rendering()
-    sizes, small = ["100.0 mm wide", "300.0 mm tall"], ["'two' in 5.0 points"]
-    beyond, over = ["'a long text at the edge' beyond the page"], ["'one' over 'two'"]
-    assert faults(figure) == [*sizes, *small, *beyond, "axes without a quantity", *over]
+    small, beyond = "'two' in 5.0 points", "'a long text at the edge' beyond the page"
+    others = ["axes without a quantity", "'one' over 'two'"]
+    assert faults(figure) == ["100.0 mm wide", "300.0 mm tall", small, beyond, *others]
 
 
-def test_captions_name_the_seeds_of_their_studies() -> None:
-    for drawing in map(draw.drawing, draw.NAMES):
-        study = (PROJECT / "studies" / f"{drawing.study}.py").read_text(encoding="utf-8")
-        if stated := re.search(r"^SEED = (\d+)", study, re.MULTILINE):
-            assert drawing.seeds == f"seed {stated[1]}"
-        if stated := re.search(r"^SEEDS = (\d+)", study, re.MULTILINE):
-            assert drawing.seeds == f"seeds 0 to {int(stated[1]) - 1}"
+def test_one_command_draws_what_it_is_asked_for(tmp_path, capsys):
+    new = tmp_path / "new"
+    draw.main([QUICKLY_DRAWN, "--out", str(new), "--format", "svg"])
+    assert {path.name for path in new.iterdir()} == {f"{QUICKLY_DRAWN}.md", f"{QUICKLY_DRAWN}.svg"}
+    assert capsys.readouterr().out == f"{new / QUICKLY_DRAWN}.svg\n"
 
 
-def test_one_command_draws_what_it_is_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    draw.main([QUICKLY_DRAWN, "--out", str(tmp_path / "new"), "--format", "svg"])
-    written = [f"{QUICKLY_DRAWN}.md", f"{QUICKLY_DRAWN}.svg"]
-    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == written
-    assert capsys.readouterr().out == f"{tmp_path / 'new' / written[1]}\n"
-
-
-def test_each_figure_is_listed_and_nothing_else_is_kept() -> None:
+def test_each_figure_is_listed_and_nothing_else_is_kept():
     readme = FIGURES / "README.md"
     assert listed(readme) == set(draw.NAMES)
     kept = {path.stem for path in FIGURES.glob("*.png")}

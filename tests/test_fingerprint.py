@@ -3,19 +3,15 @@
 import ast
 from pathlib import Path
 
-import pytest
-
 import cpam_bayes as cb
 from cpam_bayes import fingerprint as module
 from cpam_bayes.fingerprint import fingerprint, fingerprint_of_script, sources_of
 
 
-def test_the_sources_of_a_result_are_those_it_imports_at_any_depth() -> None:
+def test_the_sources_of_a_result_are_those_it_imports_at_any_depth():
     package = Path(module.__file__).parent
-    found, asked = (
-        {file.relative_to(package).as_posix() for file in sources_of([f"cpam_bayes.{name}"], [])}
-        for name in ("forward_model.build", "questions.forward")
-    )
+    names = [f"cpam_bayes.{name}" for name in ("forward_model.build", "questions.forward")]
+    found, asked = ({file.relative_to(package).as_posix() for file in sources_of([n], [])} for n in names)
     assert {"forward_model/build.py", "mechanics/affine.py", "plate/laminate.py"} <= found
     assert "diagnosis/models.py" not in found
     # how an answer looks is no part of it
@@ -24,10 +20,10 @@ def test_the_sources_of_a_result_are_those_it_imports_at_any_depth() -> None:
     assert result.to_dict()["fingerprint"] == fingerprint(type(result).__module__)
 
 
-def test_another_source_is_another_fingerprint(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    (tmp_path / "one.py").write_text("from cpam_bayes.two import (\n    a,\n    b,\n)\n")
-    (tmp_path / "two.py").write_text("a = b = 1\n")
-    (tmp_path / "apart.py").write_text("c = 1\n")
+def test_another_source_is_another_fingerprint(monkeypatch, tmp_path):
+    one = "from cpam_bayes.two import (\n    a,\n    b,\n)\n"
+    for name, text in (("one.py", one), ("two.py", "a = b = 1\n"), ("apart.py", "c = 1\n")):
+        (tmp_path / name).write_text(text)
     monkeypatch.setattr(module, "_PACKAGE", tmp_path)
     fingerprint.cache_clear()
     first = fingerprint("cpam_bayes.one")
@@ -44,7 +40,7 @@ def test_another_source_is_another_fingerprint(monkeypatch: pytest.MonkeyPatch, 
     fingerprint.cache_clear()
 
 
-def test_nothing_but_words_is_left_out_of_the_sources_of_the_package() -> None:
+def test_nothing_but_words_is_left_out_of_the_sources_of_the_package():
     def code(source: str, said: set[int]) -> list[str]:
         lines = [line for number, line in enumerate(source.splitlines(), 1) if number not in said]
         return [line for line in lines if line.strip() and not line.strip().startswith("#")]
@@ -59,18 +55,13 @@ def test_nothing_but_words_is_left_out_of_the_sources_of_the_package() -> None:
         assert code(module.without_words(source), set()) == code(source, said), file
 
 
-def test_a_script_has_the_fingerprint_of_what_it_uses_and_what_answers_public_names(
-    tmp_path: Path,
-) -> None:
+def test_a_script_has_the_fingerprint_of_what_it_uses_and_what_answers_public_names(tmp_path):
     script, found = tmp_path / "study.py", []
     for text in (
-        "from cpam_bayes.formatting import fixed\n",
-        "from cpam_bayes.formatting import fixed  # a remark\n",
+        *(f"from cpam_bayes.formatting import fixed{remark}\n" for remark in ("", "  # a remark")),
         "from cpam_bayes.plate.records import Plate\n",
-        "import cpam_bayes as cb\ncb.plates()\n",
-        "import cpam_bayes as cb\ncb.forward()\n",
+        *(f"import cpam_bayes as cb\ncb.{verb}()\n" for verb in ("plates", "forward")),
     ):
         script.write_text(text)
         found.append(fingerprint_of_script(script, cb._PUBLIC))
-    assert found[0] == found[1]
-    assert len(set(found)) == 4
+    assert (found[0], len(set(found))) == (found[1], 4)

@@ -1,16 +1,13 @@
 """Long work: a time limit ends it with the best answer so far, and BLAS is held to one thread."""
 
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from itertools import count
-from pathlib import Path
 from threading import Barrier, Event, current_thread
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import cpam_bayes as cb
@@ -19,24 +16,15 @@ from cpam_bayes.answer import Verdict
 from cpam_bayes.inference.ensemble import EnsembleSettings
 from cpam_bayes.parallel import run
 from cpam_bayes.questions import sequence
-from cpam_bayes.running import (
-    Described,
-    Progress,
-    TimeIsUpError,
-    cut_short,
-    is_time_up,
-    single_blas_thread,
-    time_limit,
-)
+from cpam_bayes.running import TimeIsUpError, cut_short, is_time_up, single_blas_thread, time_limit
 from tests.answers import CHAINS, SWARM, answered
-from tests.plate_file import MEASURED, PLATE, Run
 from tests.stacking.cases import STEP, TRUE, listed
 
 AT_ONCE = 1e-9
 
 
 @pytest.fixture
-def looks(monkeypatch: pytest.MonkeyPatch) -> None:
+def looks(monkeypatch):
     """A clock that goes on by a second whenever it is looked at."""
     seconds = count()
     monkeypatch.setattr(running.time, "monotonic", lambda: float(next(seconds)))
@@ -53,7 +41,7 @@ def plus_one(shared: int, item: int) -> int:
     return shared + item
 
 
-def test_time_is_up_after_the_limit_and_never_without(looks: None) -> None:
+def test_time_is_up_after_the_limit_and_never_without(looks):
     assert not is_time_up()
     with time_limit(2.0):
         assert [is_time_up() for _ in range(3)] == [False, True, True]
@@ -66,117 +54,89 @@ def test_time_is_up_after_the_limit_and_never_without(looks: None) -> None:
             pass
 
 
-def test_what_is_missing_is_noted_once() -> None:
+def test_what_is_missing_is_noted_once():
     cut_short("nobody asked")
     with time_limit(5.0):
         cut_short("this", done=1)
         cut_short("this", done=1)
-        limit = running.current_limit()
-        assert limit is not None
-        assert limit.missing == [("this", {"done": 1})]
+        assert running.current_limit().missing == [("this", {"done": 1})]
 
 
-@pytest.mark.parametrize("workers", [None, 1])
-def test_limited_work_ends_between_two_items(looks: None, workers: int | None) -> None:
-    done: list[int] = []
-    executor = None if workers is None else ThreadPoolExecutor(workers)
+@pytest.mark.parametrize("executor", [None, ThreadPoolExecutor(1)])
+def test_limited_work_ends_between_two_items(looks, executor):
+    told = []
+    asked = {"batch_size": 1, "on_result": lambda *result: told.append(result), "is_limited": True}
     with time_limit(3.0), pytest.raises(TimeIsUpError, match=r"the time limit of 3 s .* of 50 parts"):
-        run(
-            plus_one,
-            1,
-            range(50),
-            executor,
-            batch_size=1,
-            on_result=lambda index, result: done.append(result),
-            is_limited=True,
-        )
+        run(plus_one, 1, range(50), executor, **asked)
     # what was begun when time was up is told too
-    assert 0 < len(done) < 50
+    assert 0 < len(told) < 50
     with time_limit(3.0):
         assert run(plus_one, 1, range(50)) == list(range(1, 51))
 
 
-def test_a_swarm_in_time_gives_the_same_and_late_ends_early_with_status_1_and_says_so_first(run: Run) -> None:
+def test_a_swarm_in_time_gives_the_same_and_late_ends_early_with_status_1_and_says_so_first(run):
     free = answered("identify")
     with time_limit(3600.0):
         limited = cb.identify("A1", seed=1)
-    assert limited.reached_goal
-    assert (limited.constants, limited.slips) == (free.constants, free.slips)
+    assert (limited.reached_goal, limited.constants, limited.slips) == (True, free.constants, free.slips)
     with time_limit(AT_ONCE):
         point = cb.identify("A1", seed=0)
-    assert (point.reached_goal, point.status) == (False, "budget")
+    assert (point.reached_goal, point.status, set(point.constants)) == (False, "budget", {"E1", "nu12"})
     assert point.slips[0] == point.warnings[0]
     assert left_out(point) == {"cut_swarm": {"done": 0, "of": 400}, "cut_swarms": {"done": 1, "of": 3}}
-    assert set(point.constants) == {"E1", "nu12"}
     status, out, err = run("identify", "A1", "--quiet", "--time-limit", "1e-9")
-    assert status == 1
+    assert (status, "warning: The time limit of 1e-09 s" in err) == (1, True)
     assert "The time limit of 1e-09 s ended the work early" in out.splitlines()[1]
-    assert "warning: The time limit of 1e-09 s" in err
     status, out, err = run("sensitivity", "A1", "--quiet", "--executor", "serial", "--time-limit", "1e-9")
     assert (status, out) == (1, "")
     assert err.startswith("error: the time limit of 1e-09 s was reached before there was an answer")
 
 
-def test_emcee_ends_after_a_round_and_goes_on_from_the_store(tmp_path: Any) -> None:
+def test_emcee_ends_after_a_round_and_goes_on_from_the_store(tmp_path):
     with time_limit(AT_ONCE):
         cut = cb.sample("A1", seed=0, store=tmp_path, settings=EnsembleSettings(round_steps=20))
-    assert not cut.reached_goal
-    assert left_out(cut)["cut_chains"] == {"done": 20, "of": 10000}
+    assert (cut.reached_goal, left_out(cut)["cut_chains"]) == (False, {"done": 20, "of": 10000})
     assert list(tmp_path.glob("*"))
     # nothing is said to be determined by chains that were cut off
     assert {c.verdict for c in (*cut.constants.values(), *cut.sizes.values())} == {Verdict.UNCONVERGED}
-    said = cut.report().summary
-    assert said.headline == "The chains did not converge: do not use this answer."
-    assert said.next_step == "allow more time: --time-limit S."
+    said, headline = cut.report().summary, "The chains did not converge: do not use this answer."
+    assert (said.headline, said.next_step) == (headline, "allow more time: --time-limit S.")
     assert "determine" not in cut.summary()
 
 
 @pytest.mark.slow
-def test_nothing_is_claimed_of_a_part_of_the_causes_and_others_are_named(run: Run, tmp_path: Path) -> None:
-    plate = tmp_path / "plate.toml"
-    plate.write_text(PLATE + MEASURED, "utf-8")
-    plain = cb.forward(str(plate)).frequencies[:6]
+def test_nothing_is_claimed_of_a_part_of_the_causes_and_others_are_named(run, plate_file):
+    plain = cb.forward(plate_file()).frequencies[:6]
     for factors in (np.ones(6), np.linspace(0.94, 1.06, 6)):
         listed = ", ".join(f"{f:.2f}" for f in plain * factors)
-        text = (PLATE + MEASURED).replace("114, 167, 218, 289, 300, 497", listed)
-        plate.write_text(f"{text}relative_std = 0.002\n", "utf-8")
+        plate = plate_file(("114, 167, 218, 289, 300, 497]", f"{listed}]\nrelative_std = 0.002"))
         status, out, _ = run("diagnose", plate, "--time-limit", AT_ONCE, "--executor", "serial")
-        assert status == 1
-        assert "time was up before every cause was tested" in out
+        assert (status, "time was up before every cause was tested" in out) == (1, True)
         with time_limit(AT_ONCE):
-            answer = cb.diagnose(str(plate))
+            answer = cb.diagnose(plate)
         assert (answer.claim, answer.reached_goal) == ("undecided", False)
         not_tested, missing = answer.diagnosis.weighed.not_tested, left_out(answer)
-        assert not_tested
+        assert len(not_tested) == missing["cut_hypotheses"]["count"] > 0
         assert all("time was up" in text for text in not_tested)
-        assert "cut_gain" in missing
-        assert missing["cut_hypotheses"]["count"] == len(not_tested)
-        assert "thickness" in missing["cut_hypotheses"]["causes"]
+        assert ("cut_gain" in missing, "thickness" in missing["cut_hypotheses"]["causes"]) == (True, True)
         tested = {t.hypothesis.cause for t in answer.diagnosis.weighed.tested}
-        assert {"none", "other"} <= tested
-        assert "thickness" not in tested
+        assert tested & {"none", "other", "thickness"} == {"none", "other"}
 
 
-class Told:
+class Told(running.Watch):
     """A watch that counts what it is told."""
 
     def __init__(self) -> None:
         self.told: list[int] = []
 
-    def announce(self, text: str) -> None:
-        del text
-
-    promise = announce
-
-    def stage(self, title: str, total: int, described: Described | None = None, counted: str = "") -> Any:
-        return nullcontext(Progress(lambda k, value: self.told.append(k), lambda text: None))
+    def stage(self, *args: Any, **options: Any) -> Any:
+        return nullcontext(running.Progress(lambda k, value: self.told.append(k), lambda text: None))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("done", [2, pytest.param(4, marks=pytest.mark.weekly)])
-def test_a_noise_study_has_the_groups_that_were_inverted(done: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: dict[str, Any] = {"levels": [0.01, 0.05], "groups": 4, "readings": ["rms"]}
-    asked |= {"settings": SWARM, "chains": CHAINS}
+def test_a_noise_study_has_the_groups_that_were_inverted(done, monkeypatch):
+    asked = {"levels": [0.01, 0.05], "groups": 4, "readings": ["rms"], "settings": SWARM, "chains": CHAINS}
     whole, watch = cb.sensitivity("A1", **asked), Told()
     up = 2 * (done + 1) + (done < 4)
     monkeypatch.setattr("cpam_bayes.parallel.sharing.is_time_up", lambda: len(watch.told) >= up)
@@ -184,28 +144,24 @@ def test_a_noise_study_has_the_groups_that_were_inverted(done: int, monkeypatch:
         cut = cb.sensitivity("A1", **asked, watch=watch)
     for a, b in zip(cut.study.cells, whole.study.cells, strict=True):
         assert a.repetition.constants.tolist() == b.repetition.constants[:done].tolist()
-    assert cut.reached_goal == (done == 4)
-    assert left_out(cut) == ({"cut_groups": {"done": 2, "of": 4}} if done == 2 else {})
+    missing = {"cut_groups": {"done": 2, "of": 4}} if done == 2 else {}
+    assert (cut.reached_goal, left_out(cut)) == (done == 4, missing)
 
 
-def test_plates_that_a_batch_did_not_reach_have_rows_that_say_so() -> None:
+def test_plates_that_a_batch_did_not_reach_have_rows_that_say_so():
     with time_limit(AT_ONCE):
         answer = cb.batch("A1", "no such plate", "A2")
-    assert not answer.reached_goal
-    assert [row.status for row in answer.rows] == ["failed"] * 3
+    assert (answer.reached_goal, [row.status for row in answer.rows]) == (False, ["failed"] * 3)
     assert [row.message == "time was up before this plate" for row in answer.rows] == [True, False, True]
     assert left_out(answer) == {"cut_plates": {"late": 2, "of": 3}}
 
 
 @pytest.mark.slow
-def test_sequences_are_all_weighed_or_have_no_probability_and_those_of_the_first_are_sampled_in_any_case(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_sequences_are_all_weighed_or_have_no_probability_and_the_first_is_sampled_always(monkeypatch):
     plate = listed("[?/?]_s", STEP, TRUE, 0.02)
     with time_limit(AT_ONCE), pytest.raises(TimeIsUpError, match="before there was an answer"):
         cb.sequence(plate)
-    whole = cb.sequence(plate, seed=0)
-    sample_mixture = sequence.sample_mixture
+    whole, sample_mixture, missing = cb.sequence(plate, seed=0), sequence.sample_mixture, []
 
     def late(*args: Any, **kwargs: Any) -> Any:
         with time_limit(AT_ONCE):
@@ -213,16 +169,13 @@ def test_sequences_are_all_weighed_or_have_no_probability_and_those_of_the_first
             missing.append(running.current_limit())
             return mixture
 
-    missing: list[Any] = []
     monkeypatch.setattr(sequence, "sample_mixture", late)
-    cut = cb.sequence(plate, seed=0)
-    n = len(whole.mixture.components)
-    assert n > 1
-    assert len(cut.mixture.components) == 1
+    cut, n = cb.sequence(plate, seed=0), len(whole.mixture.components)
+    assert n > len(cut.mixture.components) == 1
     assert missing[0].missing[0] == ("cut_sequences", {"done": 1, "of": n})
     assert cut.answer.probability.tolist() == whole.answer.probability.tolist()
-    first, same = whole.mixture.components[0], cut.mixture.components[0]
-    assert first.draws.tolist() == same.draws.tolist()
+    first, same = (answer.mixture.components[0].draws for answer in (whole, cut))
+    assert first.tolist() == same.tolist()
 
 
 def blas_threads() -> int:
@@ -230,13 +183,13 @@ def blas_threads() -> int:
 
 
 @pytest.fixture
-def two_threads() -> Iterator[None]:
+def two_threads():
     with threadpool_limits(2, user_api="blas"):
         assert blas_threads() == 2
         yield
 
 
-def test_the_limit_is_lifted_at_the_end_of_the_outer_function_even_of_a_failure(two_threads: None) -> None:
+def test_the_limit_is_lifted_at_the_end_of_the_outer_function_even_of_a_failure(two_threads):
     inner = single_blas_thread(blas_threads)
 
     @single_blas_thread
@@ -249,12 +202,8 @@ def test_the_limit_is_lifted_at_the_end_of_the_outer_function_even_of_a_failure(
     assert blas_threads() == 2
 
 
-def test_the_last_thread_to_leave_lifts_the_limit_and_no_other(two_threads: None) -> None:
+def test_the_last_thread_to_leave_lifts_the_limit_and_no_other(two_threads):
     both_in, first_is_out = Barrier(2), Event()
-
-    @single_blas_thread
-    def first() -> None:
-        both_in.wait(60)
 
     @single_blas_thread
     def second() -> int:
@@ -264,28 +213,24 @@ def test_the_last_thread_to_leave_lifts_the_limit_and_no_other(two_threads: None
 
     with ThreadPoolExecutor(2) as pool:
         last = pool.submit(second)
-        pool.submit(first).result(60)
+        pool.submit(single_blas_thread(both_in.wait), 60).result(60)
         first_is_out.set()
         assert last.result(60) == 1
     assert blas_threads() == 2
 
 
-def test_a_stack_is_shared_out_but_by_workers_and_its_answer_is_that_of_one_thread_to_the_last_bit(
-    two_threads: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    matrices = np.random.default_rng(3).normal(size=(101, 30, 30))
+def test_a_stack_is_shared_out_but_by_workers_with_the_answer_of_a_thread(two_threads, monkeypatch):
+    matrices, shares = np.random.default_rng(3).normal(size=(101, 30, 30)), []
     matrices += matrices.swapaxes(1, 2)
-    expected = np.linalg.eigvalsh(matrices)
-    shares: list[tuple[int, str]] = []
 
-    def counted(stack: NDArray[Any]) -> NDArray[Any]:
+    def counted(stack):
         shares.append((len(stack), current_thread().name))
         return np.linalg.eigvalsh(stack)
 
-    def fails_at_the_end(stack: NDArray[Any]) -> NDArray[Any]:
+    def fails_at_the_end(stack):
         if stack[-1, 0, 0] == matrices[-1, 0, 0]:
             raise np.linalg.LinAlgError("no convergence")
-        return np.linalg.eigvalsh(stack)
+        return counted(stack)
 
     monkeypatch.setattr(running, "cores", lambda: 3)
     with running.keep_to_one_core():
@@ -293,8 +238,8 @@ def test_a_stack_is_shared_out_but_by_workers_and_its_answer_is_that_of_one_thre
     assert {name for _, name in shares} == {current_thread().name}
     shares.clear()
     found = running.matrix_by_matrix(counted, matrices)
-    assert sorted(size for size, _ in shares) == [33, 34, 34]
-    assert len({name for _, name in shares}) > 1
-    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(found, np.linalg.eigvalsh(matrices))
+    sizes, names = zip(*shares, strict=True)
+    assert (sorted(sizes), len(set(names)) > 1) == ([33, 34, 34], True)
     with pytest.raises(np.linalg.LinAlgError, match="no convergence"):
         running.matrix_by_matrix(fails_at_the_end, matrices)

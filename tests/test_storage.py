@@ -6,6 +6,7 @@ import pickle
 import subprocess
 import sys
 import zipfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,30 +30,30 @@ with draft_directory(place) as directory, draft_file(place) as (path, file):
 def kill_a_writer(place: Path) -> list[Path]:
     """Drafts that a killed process left."""
     before = set(place.iterdir())
-    done = subprocess.run([sys.executable, "-c", KILLED, str(place)], check=False, timeout=60)
-    assert done.returncode == -9
+    assert subprocess.run([sys.executable, "-c", KILLED, str(place)], timeout=60).returncode == -9
     return sorted(set(place.iterdir()) - before)
 
 
-def test_what_a_killed_process_left_is_swept_and_nothing_else(tmp_path: Path) -> None:
+def test_what_a_killed_process_left_is_swept_and_nothing_else(tmp_path):
     others = {tmp_path / "results.json", tmp_path / ".cpam-bayes.toml"}
     with draft_directory(tmp_path) as own, draft_file(tmp_path) as (mine, _):
         for path in others:
-            path.write_text("")
+            path.touch()
         assert len(kill_a_writer(tmp_path)) == 2
         sweep(tmp_path)
         assert set(tmp_path.iterdir()) == {own, mine, *others}
     assert set(tmp_path.iterdir()) == others
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    left = kill_a_writer(elsewhere)
-    with draft_file(elsewhere):  # the first draft in a directory sweeps it too
-        assert not any(path.exists() for path in left)
+    for draft in (draft_file, draft_directory):  # the first one in a directory sweeps it too
+        elsewhere = tmp_path / draft.__name__
+        elsewhere.mkdir()
+        left = kill_a_writer(elsewhere)
+        with draft(elsewhere):
+            assert not any(path.exists() for path in left)
 
 
 # of another machine, and of nobody
 @pytest.mark.parametrize("name", [".cpam-bayes-00000000-1-x", ".cpam-bayes-x8fs7d"])
-def test_drafts_of_unknown_processes_are_swept_after_a_day(tmp_path: Path, name: str) -> None:
+def test_drafts_of_unknown_processes_are_swept_after_a_day(tmp_path, name):
     draft = tmp_path / name
     draft.mkdir()
     sweep(tmp_path)
@@ -63,7 +64,7 @@ def test_drafts_of_unknown_processes_are_swept_after_a_day(tmp_path: Path, name:
     assert not draft.exists()
 
 
-def test_a_link_that_looks_like_a_draft_is_not_followed(tmp_path: Path) -> None:
+def test_a_link_that_looks_like_a_draft_is_not_followed(tmp_path):
     kept = tmp_path / "kept"
     kept.mkdir()
     (kept / "file").write_text("mine")
@@ -71,29 +72,19 @@ def test_a_link_that_looks_like_a_draft_is_not_followed(tmp_path: Path) -> None:
     link = tmp_path / f"{left.name}link"
     link.symlink_to(kept)
     sweep(tmp_path)
-    assert [p.name for p in tmp_path.iterdir()] == ["kept"]
-    assert (kept / "file").read_text() == "mine"
+    assert ([p.name for p in tmp_path.iterdir()], (kept / "file").read_text()) == (["kept"], "mine")
 
 
-ARRAYS = {
-    "stack": np.arange(60.0).reshape(3, 4, 5),
-    "name": np.array("a text"),
-    "block_2": np.linspace(0.0, 1.0, 40),
-}
-
-
-def test_what_was_written_is_read_back_bit_for_bit_under_its_name_alone(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    path = tmp_path / "model.arrays"
-    storage.write_arrays(path, ARRAYS)
+def test_what_was_written_is_read_back_bit_for_bit_under_its_name_alone(tmp_path, caplog):
+    path, other = tmp_path / "model.arrays", tmp_path / "other.arrays"
+    arrays = {"stack": np.arange(60.0).reshape(3, 4, 5), "name": np.array("a text")}
+    arrays["block_2"] = np.linspace(0.0, 1.0, 40)
+    storage.write_arrays(path, arrays)
     stored = read_arrays(path)
-    assert stored is not None
-    assert stored.keys() == ARRAYS.keys()
-    for name, array in ARRAYS.items():
+    assert stored.keys() == arrays.keys()
+    for name, array in arrays.items():
         np.testing.assert_array_equal(stored[name], array)
     assert [p.name for p in tmp_path.iterdir()] == ["model.arrays"]
-    other = tmp_path / "other.arrays"
     other.write_bytes(path.read_bytes())
     assert read_arrays(other) is None, "a whole file under the name of another"
     assert caplog.messages
@@ -107,23 +98,19 @@ class Trap:
         return pytest.fail, ("a pickle was opened",)
 
 
-def test_nothing_is_unpickled_even_from_a_file_with_the_right_checksum(tmp_path: Path) -> None:
+def test_nothing_is_unpickled_even_from_a_file_with_the_right_checksum(tmp_path):
     saved = io.BytesIO()
     np.save(saved, np.array([Trap()], dtype=object), allow_pickle=True)
     archive = io.BytesIO()
     with zipfile.ZipFile(archive, "w") as file:
         file.writestr("stack.npy", saved.getvalue())
+    path = tmp_path / "model.arrays"
     for content in (archive.getvalue(), pickle.dumps(Trap()), b"", b"PK\x03\x04"):
-        path = tmp_path / "model.arrays"
         write_sealed(path, content)
-        assert read_sealed(path) == content
-        assert read_arrays(path) is None
-        assert not path.exists()
+        assert (read_sealed(path), read_arrays(path), path.exists()) == (content, None, False)
 
 
-def test_a_write_that_fails_leaves_what_was_there_and_no_draft(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_write_that_fails_leaves_what_was_there_and_no_draft(tmp_path, monkeypatch):
     path = tmp_path / "model.arrays"
     write_sealed(path, b"before")
 
@@ -133,35 +120,27 @@ def test_a_write_that_fails_leaves_what_was_there_and_no_draft(
     monkeypatch.setattr("os.fsync", full)
     with pytest.raises(OSError, match="No space left"):
         write_sealed(path, b"after")
-    assert read_sealed(path) == b"before"
-    assert [p.name for p in tmp_path.iterdir()] == ["model.arrays"]
+    assert (read_sealed(path), list(tmp_path.iterdir())) == (b"before", [path])
 
 
 @pytest.mark.parametrize("kind", ["link", "dangling link", "directory", "pipe"])
-def test_only_a_regular_file_is_replaced(tmp_path: Path, kind: str) -> None:
+def test_only_a_regular_file_is_replaced(tmp_path, kind):
     draft, path, aim, regular = (tmp_path / name for name in ("draft", "file", "aim", "regular"))
     draft.write_text("new")
     regular.write_text("old")
     if kind == "link":
         aim.write_text("somebody's")
-    if "link" in kind:
-        path.symlink_to(aim)
-    elif kind == "directory":
-        path.mkdir()
-    else:
-        os.mkfifo(path)
+    make = {"directory": path.mkdir, "pipe": partial(os.mkfifo, path)}
+    make.get(kind, partial(path.symlink_to, aim))()
     before = path.lstat()
     with pytest.raises(FileExistsError, match="a directory, link, pipe or device is in its place"):
         storage.put_in_place(draft, path)
-    assert path.lstat().st_ino == before.st_ino
-    assert aim.exists() == (kind == "link")
+    assert (path.lstat().st_ino, aim.exists()) == (before.st_ino, kind == "link")
     storage.put_in_place(draft, regular)
     assert regular.read_text() == "new"
 
 
-def test_the_cache_lies_where_the_system_keeps_caches_and_models_of_earlier_versions_are_named_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_the_cache_lies_where_systems_keep_it_and_former_models_are_named_once(tmp_path, monkeypatch, caplog):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
     monkeypatch.delenv("CPAM_BAYES_CACHE", raising=False)
     if sys.platform == "linux":
@@ -170,14 +149,15 @@ def test_the_cache_lies_where_the_system_keeps_caches_and_models_of_earlier_vers
     monkeypatch.setenv("CPAM_BAYES_CACHE", str(tmp_path))
     assert storage.cache_directory() == tmp_path
     (tmp_path / "notes.arrays").write_bytes(b"of somebody else")
-    storage.name_unused_models.cache_clear()
-    storage.name_unused_models()
-    assert not caplog.messages
-    for name in (f"{'0' * 32}.arrays", f"{'1' * 32}-local4.arrays"):
-        (tmp_path / name).write_bytes(bytes(2**20))
-    storage.name_unused_models.cache_clear()
-    for _ in range(2):
-        storage.name_unused_models()
+    named = []
+    for models in ((), (f"{'0' * 32}.arrays", f"{'1' * 32}-local4.arrays")):
+        for name in models:
+            (tmp_path / name).write_bytes(bytes(2**20))
+        storage.name_unused_models.cache_clear()
+        for _ in range(2):
+            storage.name_unused_models()
+        named.append(len(caplog.messages))
+    assert named == [0, 1]
     (message,) = caplog.messages
     assert message.startswith(f"{tmp_path} holds 2.0 MiB of plate models")
     storage.name_unused_models.cache_clear()

@@ -49,8 +49,7 @@ def linear(mean: np.ndarray, slope: np.ndarray, own: ParameterSet) -> ToyModel:
 def independent(off: tuple[float, ...], sd: float = 1.0) -> Posterior:
     """Parameters uniform on [0, 1], each moving one frequency by 10 Hz, measured ``off`` from its 0.
 
-    The posterior is a product of Gaussians of mean off / 10 and standard deviation sd / 10, cut to
-    [0, 1].
+    The posterior is a product of Gaussians of mean off / 10 and standard deviation sd / 10, cut to [0, 1].
     """
     n = len(off)
     mean = 100.0 * np.arange(1, n + 1)
@@ -67,8 +66,7 @@ def two_peaks(separation: float = 1.0) -> Posterior:
         a, b = x.T
         zero, one = np.zeros_like(a), np.ones_like(a)
         f = np.stack((100.0 + 10.0 * a**2, 200.0 + 10.0 * (a + b)), axis=1)
-        slope = np.stack((np.stack((20.0 * a, zero), 1), np.stack((10.0 * one, 10.0 * one), 1)), axis=1)
-        return f, slope
+        return f, np.stack((np.stack((20.0 * a, zero), 1), np.stack((10.0 * one, 10.0 * one), 1)), axis=1)
 
     data = listed(np.array([100.0 + 10.0 * separation**2, 203.0]), np.array([1.0, 2.0]))
     return plate_posterior(ToyModel(own, function), data, np.zeros(2))
@@ -85,10 +83,9 @@ def crossing() -> Posterior:
     def function(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         f = mean + x @ slope.T
         order = np.argsort(f, axis=1, kind="stable")
-        f = np.take_along_axis(f, order, axis=1)
         third = 300.0 + 20.0 * x[:, :1] + 25.0 * x[:, 1:]
         jacobian = np.concatenate((slope[order], np.full((len(x), 1, 2), [20.0, 25.0])), axis=1)
-        return np.concatenate((f, third), axis=1), jacobian
+        return np.concatenate((np.take_along_axis(f, order, axis=1), third), axis=1), jacobian
 
     model = ToyModel(own, function)
     f = model.predict(np.array([[0.4, 0.7]])).frequencies[0]
@@ -99,21 +96,17 @@ def integral(posterior: Posterior, edges: tuple[np.ndarray, ...]) -> float:
     """Log of the integral of exp(log_prob) over a grid, by the trapezoidal rule."""
     grid = np.stack(np.meshgrid(*edges, indexing="ij"), axis=-1)
     value = posterior.log_prob(grid.reshape(-1, len(edges))).reshape(grid.shape[:-1])
-    top = value.max()
-    total = np.exp(value - top)
+    total = np.exp(value - value.max())
     for edge in reversed(edges):
         total = np.trapezoid(total, edge, axis=-1)
-    return float(np.log(total) + top)
+    return float(np.log(total) + value.max())
 
 
 def integral_over_noise(posterior: Posterior, lower: float = 1e-4, upper: float = 0.3) -> float:
-    """Log of the integral over two parameters and the noise of a linear model, exact to about 1e-3.
-
-    At each noise the grid is as fine as the Gaussian over the other two is narrow.
-    """
-    model, f = posterior.model, posterior.measurement.frequencies
-    prediction = model.predict(np.zeros((1, 2)), jacobian=True)
-    assert prediction.jacobian is not None
+    """Log of the integral over two parameters and the noise of a linear model, exact to about 1e-3."""
+    # at each noise the grid is as fine as the Gaussian over the other two is narrow
+    f = posterior.measurement.frequencies
+    prediction = posterior.model.predict(np.zeros((1, 2)), jacobian=True)
     weighted = prediction.jacobian[0] / f[:, None]
     covariance = np.linalg.inv(weighted.T @ weighted)
     mean = covariance @ weighted.T @ (f / f - prediction.frequencies[0] / f)

@@ -13,13 +13,11 @@ def block(kind: int, *lines: str) -> str:
 def nodes_15(points: np.ndarray, numbers: Sequence[int] | None = None) -> str:
     """Nodes (n, 2 or 3), a line each: 4I10, 1P3E13.5."""
     rows = np.column_stack((points, np.zeros((len(points), 3 - points.shape[1]))))
-    return block(
-        15,
-        *(
-            f"{number:10d}{0:10d}{0:10d}{8:10d}" + "".join(f"{value:13.5E}" for value in row)
-            for number, row in zip(numbers or range(1, len(rows) + 1), rows, strict=True)
-        ),
-    )
+    lines = [
+        f"{number:10d}{0:10d}{0:10d}{8:10d}" + "".join(f"{value:13.5E}" for value in row)
+        for number, row in zip(numbers or range(1, len(rows) + 1), rows, strict=True)
+    ]
+    return block(15, *lines)
 
 
 def nodes_2411(points: np.ndarray) -> str:
@@ -38,16 +36,7 @@ def units_164(length: float) -> str:
     return block(164, f"{1:10d}{'SI':>20s}{2:10d}", factors, offset)
 
 
-def mode_55(
-    frequency: float,
-    shape: np.ndarray,
-    number: int = 1,
-    *,
-    viscous: float = 0.0,
-    hysteretic: float = 0.0,
-    damping: float | None = None,
-    nodes: Sequence[int] | None = None,
-) -> str:
+def mode_55(frequency, shape, number=1, *, viscous=0.0, hysteretic=0.0, damping=None, nodes=None):
     """A mode with its shape (3, n): a normal one, or with ``damping`` a complex one, with its eigenvalue."""
     heads = [f"shape {number}", *["NONE"] * 4]
     if damping is None:

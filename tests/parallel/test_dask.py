@@ -5,9 +5,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
-from pathlib import Path
+from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
@@ -21,22 +19,19 @@ from cpam_bayes.plate import read_specimen
 from tests.parallel import work
 
 pytestmark = pytest.mark.slow
-
-SEEDS = range(24)
+OLD = ('__version__ = "0.0.1"', r"the Dask worker tcp://\S+ has 0\.0\.1; install the same version")
+BROKEN = ('raise ImportError("not here")', r"the Dask worker tcp://\S+ cannot import it \(.*not here")
 
 
 @contextmanager
-def _started(directory: Path, path: list[str], *words: str) -> Iterator[subprocess.Popen[bytes]]:
+def _started(directory, path, *words):
     """A Dask program, ended with all processes that it started."""
     with (directory / "log").open("ab") as log:
         program = subprocess.Popen(
             [sys.executable, "-m", "dask", *words, "--host", "127.0.0.1", "--no-dashboard"],
-            stdout=log,
-            stderr=log,
-            cwd=directory,
+            stdout=log, stderr=log, cwd=directory, start_new_session=True,
             env={**os.environ, "PYTHONPATH": os.pathsep.join([*path, *sys.path])},
-            start_new_session=True,
-        )
+        )  # fmt: skip
     try:
         yield program
     finally:
@@ -45,81 +40,69 @@ def _started(directory: Path, path: list[str], *words: str) -> Iterator[subproce
         program.wait()
 
 
-def _scheduler(directory: Path) -> AbstractContextManager[subprocess.Popen[bytes]]:
+def _scheduler(directory):
     # the operating system finds the port, and the scheduler writes it down
     return _started(directory, [], "scheduler", "--port", "0", "--scheduler-file", str(directory / "address"))
 
 
-def _workers(directory: Path, n: int, *path: str) -> AbstractContextManager[subprocess.Popen[bytes]]:
+def _workers(directory, n, *path):
     options = ("--nworkers", str(n), "--nthreads", "1", "--memory-limit", "0")
     place = ("--scheduler-file", str(directory / "address"), "--local-directory", str(directory))
     return _started(directory, list(path), "worker", *options, *place)
 
 
-def _client(directory: Path) -> Client:
+def _client(directory):
     """Waits for the scheduler's file; workers do so too."""
     return Client(scheduler_file=str(directory / "address"), timeout=120, set_as_default=False)
 
 
-def _spec(directory: Path) -> str:
+def _spec(directory):
     with _client(directory):
         return json.loads((directory / "address").read_text())["address"].replace("tcp://", "dask://")
 
 
 @pytest.fixture(scope="module")
-def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def directory(tmp_path_factory):
     return tmp_path_factory.mktemp("dask")
 
 
 @pytest.fixture(scope="module")
-def spec(directory: Path) -> Iterator[str]:
+def spec(directory):
     with _scheduler(directory), _workers(directory, 2):
         with _client(directory) as client:
             client.wait_for_workers(2, timeout=120)
         yield _spec(directory)
 
 
-def test_the_posterior_of_a_plate_is_the_same_bit_for_bit_when_a_worker_is_killed_too(
-    spec: str, tmp_path: Path
-) -> None:
+def test_the_posterior_of_a_plate_is_the_same_bit_for_bit_when_a_worker_is_killed_too(spec, tmp_path):
     specimen = read_specimen("C1")
     model = reduced_model(specimen, specimen.unknowns, specimen.measurement.size)
     posterior = plate_posterior(model, specimen.measurement, model.full.error)
 
-    def values(results: list[np.ndarray]) -> np.ndarray:
-        """Log probabilities without the process that computed them."""
-        return np.array(results)[:, :-1]
-
     counted, flag = work.Counted(0, str(tmp_path / "log")), tmp_path / "killed"
-    here = run(work.log_probabilities, (posterior, counted, ""), SEEDS)
-    assert all(np.isfinite(found).any() for found in here)
+    here = np.array(run(work.log_probabilities, (posterior, counted, ""), range(24)))
+    assert np.isfinite(here[:, :-1]).any(axis=1).all()
     with open_executor(spec) as cluster:
         for batch_size in (1, 5, None):
             log = tmp_path / f"log {batch_size}"
             shared = (posterior, work.Counted(0, str(log)), "")
-            there = run(work.log_probabilities, shared, SEEDS, cluster, batch_size=batch_size)
-            assert np.array_equal(values(here), values(there))
+            there = run(work.log_probabilities, shared, range(24), cluster, batch_size=batch_size)
+            # all but the process that computed them
+            assert np.array_equal(here[:, :-1], np.array(there)[:, :-1])
             assert all(found.flags.writeable for found in there)  # as those of a serial run
             processes = {f"{found[-1]:.0f}" for found in there}
             assert str(os.getpid()) not in processes
             assert sorted(work.lines(log)) == sorted(processes)
         # the workers have no main module of this program, nor what a function defines
         assert run(lambda shared, item: shared(item), lambda x: x + 1, [1, 2], cluster) == [2, 3]
-        there = run(work.log_probabilities, (posterior, counted, str(flag)), SEEDS, cluster, batch_size=4)
+        shared = (posterior, counted, str(flag))
+        there = run(work.log_probabilities, shared, range(24), cluster, batch_size=4)
     assert flag.exists()
-    assert np.array_equal(values(here), values(there))
+    assert np.array_equal(here[:, :-1], np.array(there)[:, :-1])
 
 
-@pytest.mark.parametrize(
-    ("source", "message"),
-    [
-        ('__version__ = "0.0.1"', r"the Dask worker tcp://\S+ has 0\.0\.1; install the same version"),
-        ('raise ImportError("not here")', r"the Dask worker tcp://\S+ cannot import it \(.*not here"),
-    ],
-)
-def test_a_worker_without_this_version_is_refused(
-    spec: str, directory: Path, tmp_path: Path, source: str, message: str
-) -> None:
+@pytest.mark.parametrize(("source", "message"), [OLD, BROKEN])
+def test_a_worker_without_this_version_is_refused(spec, directory, tmp_path, source, message):
     package = tmp_path / "cpam_bayes"
     package.mkdir()
     (package / "__init__.py").write_text(source)
@@ -127,14 +110,12 @@ def test_a_worker_without_this_version_is_refused(
     with _workers(directory, 1, str(tmp_path)):
         with _client(directory) as client:
             client.wait_for_workers(3, timeout=120)
-        with (
-            pytest.raises(ValueError, match=f"this process has cpam_bayes {__version__}.*{message}"),
-            open_executor(spec),
-        ):
+        refusal = pytest.raises(ValueError, match=f"this process has cpam_bayes {__version__}.*{message}")
+        with refusal, open_executor(spec):
             pass
 
 
-def test_a_scheduler_without_workers_is_an_error_and_one_that_goes_away_ends_the_work(tmp_path: Path) -> None:
+def test_a_scheduler_without_workers_is_an_error_and_one_that_goes_away_ends_the_work(tmp_path):
     with _scheduler(tmp_path) as scheduler:
         spec = _spec(tmp_path)
         lacking = pytest.raises(ValueError, match=f"the Dask scheduler {spec} has no workers")

@@ -1,28 +1,15 @@
 """A small answer made by hand, to be shown in every way."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
+from matplotlib.figure import Figure
+
+from cpam_bayes.render import report
 from cpam_bayes.render.figures import new_figure
-from cpam_bayes.render.report import (
-    COMPUTATION,
-    Caption,
-    Column,
-    Drawing,
-    Report,
-    Rows,
-    Section,
-    Summary,
-    facts,
-    remarks,
-)
+from cpam_bayes.render.report import Caption, Column, Drawing, Report, Rows, Section, facts, remarks
 from cpam_bayes.result import Result
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 class Terminal(io.StringIO):
@@ -48,29 +35,26 @@ CONSTANTS = Rows(
 
 
 def draw() -> Figure:
-    """A line."""
     figure = new_figure(6.0, 2.0)
     figure.subplots().plot([0.0, 1.0], [0.0, 1.0])
     return figure
 
 
-SLIP = "The list is in kHz, not Hz. Divide by 1000."
-WARNING = "The noise is high."
 REPORT = Report(
-    summary=Summary(
+    summary=report.Summary(
         title="identify D&G",
         headline="1 frequency < 2 constants: E1 is determined.",
         tables=(CONSTANTS.table("Constants"),),
         lines=("Fit 0.19 %, `relative_std` +- 0.2 %.",),
         next_step="is anything wrong?  cpam-bayes diagnose 'D&G'",
-        slips=(SLIP,),
-        warnings=(WARNING,),
+        slips=("The list is in kHz, not Hz. Divide by 1000.",),
+        warnings=("The noise is high.",),
     ),
     sections=(
         Section("Fit of each mode", (facts("Layup", (("layup", "[(0/90)_8]_s"),)),), ("fit",), folded=False),
         Section("Empty", (remarks("nothing", ()),)),
         Section("Details", (remarks("In words", ("[red]no colour[/red] <script>",), flagged=True),)),
-        Section(COMPUTATION, (facts("Computation", (("time", "1 s"),)),)),
+        Section(report.COMPUTATION, (facts("Computation", (("time", "1 s"),)),)),
     ),
     document={"constants": CONSTANTS.records(), "seconds": 1.0},
     drawings=(Drawing("fit", draw, Caption("A line <b>.", 'A "straight" line, drawn as an example.')),),
@@ -80,12 +64,9 @@ REPORT = Report(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Small(Result):
-    """The answer as a result."""
-
     command: ClassVar[str] = "identify"
 
     def report(self) -> Report:
-        """The report made by hand."""
         return REPORT
 
 

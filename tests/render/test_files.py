@@ -17,6 +17,12 @@ from cpam_bayes.render.page import PAGE, command_of
 from tests.answers import answered
 
 RESULT = plates()
+READ_ONLY = [f"cannot be written to: {os.strerror(number)}" for number in (errno.EROFS, errno.EACCES)]
+NO_PLACES = [
+    (".", "figures is no directory"),
+    *((name, "--out") for name in ("", "a\0b", "x" * 5000)),
+    *((name, said) for said in READ_ONLY for name in ("read only", "read only/new")),
+]
 
 
 @pytest.fixture(scope="module")
@@ -36,27 +42,27 @@ def saved(result, directory):
 
 def test_an_older_result_is_replaced_and_other_files_stay(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert saved(RESULT, None) == ()
-    assert listed(tmp_path) == []
-    (tmp_path / "plates.json").write_text("old")
-    (tmp_path / "notes.txt").write_text("mine")
+    assert (saved(RESULT, None), listed(tmp_path)) == ((), [])
+    document, notes = tmp_path / "plates.json", tmp_path / "notes.txt"
+    document.write_text("old")
+    notes.write_text("mine")
     with staging(str(tmp_path)) as stage:
-        assert (tmp_path / "plates.json").read_text() == "old"
+        assert document.read_text() == "old"
         save(RESULT, stage)
     assert listed(tmp_path) == ["notes.txt", "plates.json", "report.html"]
-    assert json.loads((tmp_path / "plates.json").read_text()) == RESULT.to_dict()
+    assert json.loads(document.read_text()) == RESULT.to_dict()
+    document.unlink()
+    document.symlink_to(notes)
+    with pytest.raises(FileExistsError, match="a directory, link, pipe or device is in its place"):
+        saved(RESULT, tmp_path)
+    assert notes.read_text() == "mine"
 
 
-def test_a_saved_answer_is_presented_once(tmp_path):
-    made = []
-
-    class Counted(BuiltinPlates):
-        def report(self):
-            made.append(self)
-            return super().report()
-
-    Counted(seed=0, specimens=RESULT.specimens).save(tmp_path)
-    assert len(made) == 1
+def test_a_saved_answer_is_presented_once(tmp_path, monkeypatch):
+    made, report = [], BuiltinPlates.report
+    monkeypatch.setattr(BuiltinPlates, "report", lambda self: made.append(self) or report(self))
+    RESULT.save(tmp_path)
+    assert made == [RESULT]
 
 
 def test_two_runs_into_one_directory_leave_whole_files_of_the_last_and_no_drafts(tmp_path, forward_result):
@@ -65,8 +71,8 @@ def test_two_runs_into_one_directory_leave_whole_files_of_the_last_and_no_drafts
         save(RESULT, other)
         notes = save(forward_result, one)
     assert len(notes) == 1
-    assert json.loads((tmp_path / "plates.json").read_text()) == RESULT.to_dict()
-    assert json.loads((tmp_path / "forward.json").read_text()) == forward_result.to_dict()
+    for result in (RESULT, forward_result):
+        assert json.loads((tmp_path / f"{result.command}.json").read_text()) == result.to_dict()
     assert not [name for name in listed(tmp_path) if "cpam-bayes" in name]
 
 
@@ -76,11 +82,9 @@ def test_the_page_of_another_command_is_kept_under_its_name(tmp_path, forward_re
     first = page.read_text("utf-8")
     (note,) = saved(forward_result, tmp_path)
     assert note == f"{page} is now that of forward, that of plates is kept as plates_page.html"
-    assert command_of(page) == "forward"
-    assert (tmp_path / "plates_page.html").read_text("utf-8") == first
+    assert (command_of(page), (tmp_path / "plates_page.html").read_text("utf-8")) == ("forward", first)
     # a page of one command stands at one place
-    assert len(saved(RESULT, tmp_path)) == 1
-    assert command_of(page) == "plates"
+    assert (len(saved(RESULT, tmp_path)), command_of(page)) == (1, "plates")
     assert {path.name for path in tmp_path.glob("*.html")} == {PAGE, "forward_page.html"}
     page.write_text("<title>coverage</title>")
     assert command_of(page) is None
@@ -96,17 +100,7 @@ def test_work_that_ends_early_leaves_everything_as_it_was(tmp_path, end):
     assert listed(tmp_path) == ["old", "old/plates.json"]
 
 
-READ_ONLY = [f"cannot be written to: {os.strerror(number)}" for number in (errno.EROFS, errno.EACCES)]
-
-
-@pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        (".", "figures is no directory"),
-        *((name, "--out") for name in ("", "a\0b", "x" * 5000)),
-        *((name, said) for said in READ_ONLY for name in ("read only", "read only/new")),
-    ],
-)
+@pytest.mark.parametrize(("name", "said"), NO_PLACES)
 def test_a_directory_that_cannot_be_written_to_is_refused_before_the_work(tmp_path, monkeypatch, name, said):
     def fails(*args, **kwargs):
         number = errno.EROFS if said == READ_ONLY[0] else errno.EACCES
@@ -115,9 +109,8 @@ def test_a_directory_that_cannot_be_written_to_is_refused_before_the_work(tmp_pa
     monkeypatch.chdir(tmp_path)
     (tmp_path / "figures").write_text("mine")
     (tmp_path / "read only").mkdir()
-    if said in READ_ONLY:
-        monkeypatch.setattr("tempfile.mkdtemp", fails)
-        monkeypatch.setattr("os.unlink", fails)
+    for function in ("tempfile.mkdtemp", "os.unlink") if said in READ_ONLY else ():
+        monkeypatch.setattr(function, fails)
     with pytest.raises(ValueError, match=said), staging(name):
         raise AssertionError("the work has begun")
     assert listed(tmp_path) == ["figures", "read only"]
@@ -131,29 +124,26 @@ def written(figures, directory):
 
 def test_two_figures_on_one_page_share_no_element_name_and_modes_have_their_labels(forward_result, tmp_path):
     files = written(forward_result.figures(), tmp_path / "figures")
-    names = ("handling", "modes", "plate")
-    assert set(files) == {f"{name}.{ending}" for name in names for ending in ("png", "svg")}
+    assert {*files} == {f"{name}.{of}" for name in ("handling", "modes", "plate") for of in ("png", "svg")}
     assert not any(b"<dc:date>" in content for content in files.values())
     svgs = [content for name, content in files.items() if name.endswith(".svg")]
     ids = [set(re.findall(rb'id="(m[0-9a-f]{10}|p[0-9a-f]{10})"', content)) for content in svgs]
     assert all(ids)
     assert not ids[0] & ids[1]
-    titles = [axes.get_title() for axes in forward_result.plot("modes").axes if axes.get_title()]
-    assert re.fullmatch(r"1: 1351\.\d+ Hz\nbending \(1,1\)", titles[0])
-    assert len(titles) == 3
+    first, _, _ = (axes.get_title() for axes in forward_result.plot("modes").axes if axes.get_title())
+    assert re.fullmatch(r"1: 1351\.\d+ Hz\nbending \(1,1\)", first)
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_in_plane_modes_and_modes_of_one_sign_are_drawn_too(forward_result, share, tmp_path):
     ramp = np.add.outer(np.linspace(0, 1, 41), np.linspace(0, 1, 41))
-    mode = replace(forward_result.modes[0], in_plane_fraction=share)
-    shape = ModeShape(ramp, -ramp, ramp)
-    result = replace(forward_result, modes=(mode,), shapes=(shape,), error=np.array([1e-5]))
+    one = {"modes": (replace(forward_result.modes[0], in_plane_fraction=share),), "error": np.array([1e-5])}
+    result = replace(forward_result, shapes=(ModeShape(ramp, -ramp, ramp),), **one)
     assert len(written(result.figures(), tmp_path / "figures")["modes.png"]) > 1000
 
 
 def test_a_shape_and_its_negative_are_the_same_picture(forward_result, tmp_path):
     turned = replace(forward_result, shapes=tuple(ModeShape(-s.u, -s.v, -s.w) for s in forward_result.shapes))
-    results = {"as found": forward_result, "turned": turned}
-    first, second = (written(r.figures(), tmp_path / name)["modes.png"] for name, r in results.items())
+    answers = enumerate((forward_result, turned))
+    first, second = (written(one.figures(), tmp_path / str(i))["modes.png"] for i, one in answers)
     assert first == second

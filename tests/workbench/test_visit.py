@@ -7,8 +7,6 @@ import subprocess
 import sys
 import threading
 import tomllib
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -21,52 +19,43 @@ from tests.quick_page import desk_of
 
 pytestmark = pytest.mark.needs_browser
 
-SIZES = {
-    "plate.length_mm": "300",
-    "plate.width_mm": "210",
-    "plate.thickness_mm": "3",
-    "plate.mass_g": "510.3",
-}
+SIZES = {"length_mm": "300", "width_mm": "210", "thickness_mm": "3", "mass_g": "510.3"}
+TYPED = {f"plate.{key}": text for key, text in SIZES.items()}
 
 
 @pytest.fixture
-def address(tmp_path: Path) -> Iterator[str]:
+def address(tmp_path):
     """The address that the command prints; it ends on Ctrl-C with status 0."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "cpam_bayes", "app", str(tmp_path), "--port", "0", "--no-browser"],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout is not None
+    command = [sys.executable, "-m", "cpam_bayes", "app", str(tmp_path), "--port", "0", "--no-browser"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     yield process.stdout.readline().strip()
     process.send_signal(signal.SIGINT)
     said, _ = process.communicate(timeout=60)
-    assert process.returncode == 0
-    assert "nothing is lost" in said
+    assert (process.returncode, "nothing is lost" in said) == (0, True)
 
 
 def frequencies() -> list[float]:
     """Of the plate with a mass that its file will not state."""
-    sizes = {key.removeprefix("plate."): float(value) for key, value in SIZES.items()}
+    sizes = {key: float(text) for key, text in SIZES.items()}
     plate = {
-        "name": "tapped",
-        "plate": {**sizes, "edges": "FFFF"},
+        "name": "tapped", "plate": {**sizes, "edges": "FFFF"},
         "material": {"isotropic": True, "E1_GPa": 70.0, "nu12": 0.335},
-        "sensor": [{"mass_g": 12.0, "x_mm": 250.0, "y_mm": 160.0}],
-        "environment": {"air_density_kg_m3": 1.2},
-    }
-    modes = cb.forward(plate, 10)
-    return [round(mode["frequency_hz"], 1) for mode in modes.to_dict()["modes"]]
+        "sensor": [{"mass_g": 12.0, "x_mm": 250.0, "y_mm": 160.0}], "environment": {"air_density_kg_m3": 1.2},
+    }  # fmt: skip
+    return [round(mode["frequency_hz"], 1) for mode in cb.forward(plate, 10).to_dict()["modes"]]
+
+
+def given(browser: Browser, what: str, value: str, event: str) -> None:
+    """In one step, as a key does it: a form that is drawn anew in between would lose the value."""
+    browser.value(
+        f"""(() => {{ const at = document.querySelector({json.dumps(what)}); at.value = {json.dumps(value)};
+        at.dispatchEvent(new Event("{event}", {{ bubbles: true }})); }})()"""
+    )
 
 
 def typed(browser: Browser, values: dict[str, str]) -> None:
     for key, value in values.items():
-        # in one step, as a key does it: a form that is drawn anew in between would lose the value
-        browser.value(
-            f"""(() => {{ const at = document.querySelector('[data-key="{key}"]');
-            at.value = {json.dumps(value)};
-            at.dispatchEvent(new Event("input", {{ bubbles: true }})); }})()"""
-        )
+        given(browser, f"[data-key='{key}']", value, "input")
 
 
 def click(browser: Browser, what: str) -> None:
@@ -81,28 +70,22 @@ def there(browser: Browser, what: str) -> None:
     browser.until(f"!!document.querySelector({json.dumps(what)})")
 
 
-def test_a_plate_is_typed_its_list_pasted_and_the_constants_are_those_of_the_command(
-    address: str, tmp_path: Path
-) -> None:
+def test_a_plate_is_typed_its_list_pasted_and_the_constants_are_those_of_the_command(address, tmp_path):
     with open_browser() as browser:
         browser.visit(address, 390)
         assert disturbing(browser, 390) == []
         click(browser, "[data-open=example]")
         there(browser, "#answer table")
         assert disturbing(browser, 390) == []
-
         browser.visit(address, 1280)
         assert disturbing(browser, 1280) == []
         click(browser, "[data-open=blank]")
         there(browser, "#form [data-paste]")
-        browser.value(
-            """(() => { const at = document.querySelector("[data-material]"); at.value = "metal";
-            at.dispatchEvent(new Event("change", { bubbles: true })); })()"""
-        )
+        given(browser, "[data-material]", "metal", "change")
         browser.until("""document.querySelectorAll("[data-key^='material.']").length === 2""")
-        typed(browser, SIZES | {"plate.length_mm": "30o"})
+        typed(browser, TYPED | {"plate.length_mm": "30o"})
         browser.until("document.getElementById('error:plate.length_mm').textContent.includes('accepted')")
-        typed(browser, SIZES | {"measurement.relative_std": "0.001"})
+        typed(browser, TYPED | {"measurement.relative_std": "0.001"})
         pasted = json.dumps(" ".join(map(str, frequencies())))
         browser.value(f"document.querySelector('[data-paste]').value = {pasted}")
         click(browser, "[data-take]")
@@ -111,27 +94,23 @@ def test_a_plate_is_typed_its_list_pasted_and_the_constants_are_those_of_the_com
         assert browser.value("""document.querySelector("[data-key='plate.length_mm']").value""") == "300"
         click(browser, "[data-act=save]")
         browser.until("document.getElementById('said').textContent.startsWith('saved as')")
-
         # at rest: what the command prints, to its digits
         at_rest = text(browser, "#answer .constants")
         assert disturbing(browser, 1280) == []
         printed = cb.identify(tmp_path / "plate.toml").summary()
         for constant in re.findall(r"^  (E1|nu12)\s+(\S+)", printed, re.MULTILINE):
             assert re.search(rf"{constant[0]}\s+{re.escape(constant[1])}", at_rest)
-
         assert browser.console == []
         here = address.partition("?")[0]
         assert [url for url in browser.requests if not url.startswith((here, "data:"))] == []
 
 
 @pytest.fixture
-def quick_address(tmp_path: Path) -> Iterator[str]:
+def quick_address(tmp_path):
     """The address of a page whose computations answer at once."""
     port = free_port(0)
-    config = uvicorn.Config(
-        application(desk_of(tmp_path), "token", port), port=port, log_level="error", ws="none"
-    )
-    server = uvicorn.Server(config)
+    page = application(desk_of(tmp_path), "token", port)
+    server = uvicorn.Server(uvicorn.Config(page, port=port, log_level="error", ws="none"))
     thread = threading.Thread(target=server.run)
     thread.start()
     yield f"http://127.0.0.1:{port}/?token=token"
@@ -139,9 +118,7 @@ def quick_address(tmp_path: Path) -> Iterator[str]:
     thread.join()
 
 
-def test_a_claim_is_applied_saved_and_reported_and_picks_of_a_recording_are_changed_by_clicks(
-    quick_address: str, tmp_path: Path
-) -> None:
+def test_a_claim_is_applied_saved_and_reported_and_picks_are_changed_by_clicks(quick_address, tmp_path):
     def saved() -> dict[str, Any]:
         click(browser, "[data-act=save]")
         browser.until("document.getElementById('said').textContent.startsWith('saved as')")
@@ -168,7 +145,6 @@ def test_a_claim_is_applied_saved_and_reported_and_picks_of_a_recording_are_chan
         browser.until("!document.querySelector('[data-sensor]')")
         click(browser, "[data-act=report]")
         there(browser, "#tools a[href$=report]")
-
         browser.value("""drop(new File(["RIFF"], "tap.wav")) && 1""")
         there(browser, ".spectrum")
         clicked(144.4)
