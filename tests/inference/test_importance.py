@@ -1,8 +1,5 @@
 """Mixtures of Student-t densities, proposals made of them, and importance sampling by these."""
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
 from arviz_stats.base import array_stats
@@ -47,9 +44,8 @@ ALL_ROUNDS = Rounds(9, most=4, enough=np.inf, good=np.inf, least_share=0.1, wide
 def test_evidences_of_a_stack_are_found_within_their_errors_and_refitting_makes_weights_more_even() -> None:
     centre = np.tile([[0.0, 0.0], [1.0, 0.5], [9.0, 9.0]], (3, 1, 1))
     proposal = Mixture(np.tile([0.7, 0.3, 0.0], (3, 1)), centre, np.tile(np.eye(2), (3, 3, 1, 1)), 5.0)
-    once, again = (
-        importance(target, proposal, rounds)[0] for rounds in (Rounds(11, most=1, least=1), ALL_ROUNDS)
-    )
+    one_round = Rounds(11, most=1, least=1)
+    (once, _), (again, mixtures) = (importance(target, proposal, of) for of in (one_round, ALL_ROUNDS))
     for found in (once, again):
         assert found.points.shape == (3, 2048, 2)
         assert np.all(np.abs(found.log_evidence - LOG_OF) < 4.0 * found.standard_error)
@@ -61,19 +57,14 @@ def test_evidences_of_a_stack_are_found_within_their_errors_and_refitting_makes_
         np.testing.assert_allclose(found.standard_error, weight.std(axis=1) * 2**5.5, rtol=1e-9)
         np.testing.assert_allclose(found.k_hat, [pareto_shape(w) for w in np.log(weight)], rtol=1e-9)
     assert np.all(again.effective_size[1:] > 1.2 * once.effective_size[1:])
-
-
-def test_each_density_of_a_stack_has_what_it_has_alone() -> None:
-    centre = np.tile([[0.0, 0.0], [1.0, 0.5]], (3, 1, 1))
-    proposal = Mixture(np.tile([0.7, 0.3], (3, 1)), centre, np.tile(np.eye(2), (3, 2, 1, 1)), 5.0)
-    together, mixtures = importance(target, proposal, ALL_ROUNDS)
+    # each density has what it has alone
     second = Mixture(proposal.share[1:2], proposal.centre[1:2], proposal.factor[1:2], 5.0)
 
     def of_second(z: np.ndarray) -> np.ndarray:
         return target(np.repeat(z, 3, axis=0))[1:2]
 
     alone, mixture = importance(of_second, second, ALL_ROUNDS)
-    np.testing.assert_allclose(alone.log_evidence[0], together.log_evidence[1], rtol=1e-12)
+    np.testing.assert_allclose(alone.log_evidence[0], again.log_evidence[1], rtol=1e-12)
     np.testing.assert_allclose(mixture.factor[0], mixtures.factor[1], rtol=1e-9)
 
 
@@ -84,13 +75,6 @@ def test_a_gaussian_proposal_that_is_the_target_leaves_no_error() -> None:
     np.testing.assert_allclose(found.effective_size, 64.0, rtol=1e-9)
     assert found.standard_error[0] < 1e-12
     np.testing.assert_array_equal(left.factor, gaussian.factor)
-
-
-def test_weights_of_points_without_density_are_none() -> None:
-    found = weighted(np.zeros((2, 4, 1)), np.array([[-np.inf] * 4, [0.0, 0.0, -np.inf, -np.inf]]))
-    np.testing.assert_allclose(found.log_evidence, [-np.inf, np.log(0.5)])
-    assert found.effective_size[1] == pytest.approx(2.0)
-    assert effective_size(np.full(4, -np.inf)) == 0.0
 
 
 # sizes of which a fifth, or three roots, is a whole number: arviz rounds the number of the tail down, we up
@@ -104,19 +88,12 @@ def test_k_hat_is_that_of_arviz(n: int, seed: int) -> None:
 
 
 # Two components, correlated, over normal scores.
-MIXTURE = Mixture(
-    np.array([0.7, 0.3]),
-    np.array([[-0.5, 0.3], [1.0, -0.8]]),
-    np.array([[[0.4, 0.0], [0.2, 0.3]], [[0.3, 0.0], [-0.1, 0.5]]]),
-    5.0,
-)
+FACTORS = np.array([[[0.4, 0.0], [0.2, 0.3]], [[0.3, 0.0], [-0.1, 0.5]]])
+MIXTURE = Mixture(np.array([0.7, 0.3]), np.array([[-0.5, 0.3], [1.0, -0.8]]), FACTORS, 5.0)
 BOUNDED = Uniform(-1.0, 3.0)
-PRIORS = {
-    "two bounds": TruncatedNormal(0.2, 0.5, 0.0, 0.6),
-    "a lower bound": TruncatedNormal(0.0, 0.5, 0.1, np.inf),
-    "an upper bound": TruncatedNormal(0.0, 0.5, -np.inf, 0.4),
-    "no bound": TruncatedNormal(0.0, 0.5, -np.inf, np.inf),
-}
+BOUNDS = {"two bounds": (0.0, 0.6), "a lower bound": (0.1, np.inf), "an upper bound": (-np.inf, 0.4)}
+PRIORS = {name: TruncatedNormal(0.2, 0.5, *bounds) for name, bounds in BOUNDS.items()}
+PRIORS["no bound"] = TruncatedNormal(0.0, 0.5, -np.inf, np.inf)
 
 
 def posterior(prior: Prior | None) -> Posterior:
@@ -133,9 +110,7 @@ def posterior(prior: Prior | None) -> Posterior:
 
 @pytest.mark.parametrize("prior", [*PRIORS.values(), None], ids=[*PRIORS, "the noise"])
 @pytest.mark.parametrize("make", [np.random.default_rng, np.random.RandomState], ids=["numpy's", "emcee's"])
-def test_densities_integrate_to_one_and_draws_lie_in_bounds_and_follow_them(
-    make: Callable[[int], Any], prior: Prior | None
-) -> None:
+def test_densities_integrate_to_one_and_draws_lie_in_bounds_and_follow_them(make, prior) -> None:
     own = posterior(prior)
     proposal, n = Proposal(own.scores, MIXTURE), 20_000
     x = proposal.draw(n, make(0))
@@ -157,14 +132,16 @@ def test_densities_integrate_to_one_and_draws_lie_in_bounds_and_follow_them(
         assert gap < 2.23 / np.sqrt(n) + 2e-3
 
 
-@pytest.mark.parametrize("name", ["a Gaussian", "inferred noise", "a bound", "two peaks"])
-def test_the_proposal_that_is_left_is_near_its_posterior(name: str) -> None:
-    own = {
-        "a Gaussian": plate_posterior(LinearModel(), measurement(0.01), np.zeros(4)),
-        "inferred noise": plate_posterior(LinearModel(), measurement(None), np.zeros(4)),
-        "a bound": independent((-1.0, 5.0)),
-        "two peaks": two_peaks(),
-    }[name]
+POSTERIORS = {
+    "a Gaussian": plate_posterior(LinearModel(), measurement(0.01), np.zeros(4)),
+    "inferred noise": plate_posterior(LinearModel(), measurement(None), np.zeros(4)),
+    "a bound": independent((-1.0, 5.0)),
+    "two peaks": two_peaks(),
+}
+
+
+@pytest.mark.parametrize("own", POSTERIORS.values(), ids=POSTERIORS)
+def test_the_proposal_that_is_left_is_near_its_posterior(own: Posterior) -> None:
     found = sampled_about(own, np.empty((0, own.parameters.size)), JUMPS)[0]
     x = found.draw(4000, np.random.default_rng(1))
     assert effective_size(own.log_prob(x) - found.log_density(x)) > 0.5 * 4000
@@ -189,46 +166,40 @@ def expand(z: np.ndarray) -> Expansion:
     return Expansion(value, -np.einsum("mij,mi->mj", slope, y), np.swapaxes(slope, 1, 2) @ slope)
 
 
-def log_density(points: np.ndarray) -> np.ndarray:
-    return expand(points[0]).value[None]
+CURVATURE = expand(np.zeros((1, 3))).curvature
+FACTOR = np.linalg.cholesky(np.linalg.inv(CURVATURE))[None]
+# Laplace's approximation, which lies across the bend.
+LAPLACE = Mixture(np.ones((1, 1)), np.zeros((1, 1, 3)), 1.15 * FACTOR, 6.0)
 
 
-def about_the_optimum() -> Mixture:
-    """Laplace's approximation, which lies across the bend."""
-    factor = np.linalg.cholesky(np.linalg.inv(expand(np.zeros((1, 3))).curvature))
-    return Mixture(np.ones((1, 1)), np.zeros((1, 1, 3)), 1.15 * factor[None], 6.0)
+def test_integral_and_moments_of_a_bent_ridge_are_found_where_refitting_alone_fails_and_of_a_gaussian_soon():
+    def log_density(points: np.ndarray) -> np.ndarray:
+        return expand(points[0]).value[None]
 
-
-def test_integral_and_moments_of_a_bent_ridge_are_found_where_refitting_alone_does_not() -> None:
-    found, _ = importance(log_density, about_the_optimum(), expand=expand)
+    found, _ = importance(log_density, LAPLACE, expand=expand)
     assert found.log_evidence[0] == pytest.approx(LOG_Z, abs=0.1)
     assert found.effective_size[0] > 400.0
     y, _ = straight(found.points[0])
     np.testing.assert_allclose(found.weight[0] @ y, 0.0, atol=0.2)
     np.testing.assert_allclose(found.weight[0] @ y**2, 1.0, atol=0.3)
-    refitted, _ = importance(log_density, about_the_optimum(), Rounds(9, most=8, enough=np.inf))
+    refitted, _ = importance(log_density, LAPLACE, Rounds(9, most=8, enough=np.inf))
     assert abs(refitted.log_evidence[0] - LOG_Z) > 0.2
 
-
-def test_it_ends_as_soon_as_the_points_are_enough() -> None:
-    gaussian = expand(np.zeros((1, 3)))
-    curvature = gaussian.curvature[0]
-
+    # of a Gaussian it ends as soon as the points are enough
     def of_gaussian(z: np.ndarray) -> Expansion:
-        value = gaussian.value[0] - 0.5 * np.einsum("mi,ij,mj->m", z, curvature, z)
-        return Expansion(value, -z @ curvature, np.tile(curvature, (len(z), 1, 1)))
+        value = expand(np.zeros((1, 3))).value - 0.5 * np.einsum("mi,ij,mj->m", z, CURVATURE[0], z)
+        return Expansion(value, -z @ CURVATURE[0], np.tile(CURVATURE, (len(z), 1, 1)))
 
-    factor = np.linalg.cholesky(np.linalg.inv(gaussian.curvature))
-    rounds = Rounds(log2_points=8)
-    proposal = Mixture(np.ones((1, 1)), np.zeros((1, 1, 3)), factor[None], 6.0)
+    rounds, proposal = Rounds(log2_points=8), Mixture(LAPLACE.share, LAPLACE.centre, FACTOR, 6.0)
     found, _ = importance(lambda points: of_gaussian(points[0]).value[None], proposal, rounds, of_gaussian)
     assert found.points.shape[1] == rounds.least << rounds.log2_points
     assert found.log_evidence[0] == pytest.approx(LOG_Z, abs=0.02)
 
 
-def test_points_without_density_have_no_evidence() -> None:
-    def nowhere(points: np.ndarray) -> np.ndarray:
-        return np.full(points.shape[:2], -np.inf)
-
-    found, _ = importance(nowhere, about_the_optimum(), expand=expand)
-    assert found.log_evidence[0] == -np.inf
+def test_points_without_density_have_no_weight_and_no_evidence() -> None:
+    found = weighted(np.zeros((2, 4, 1)), np.array([[-np.inf] * 4, [0.0, 0.0, -np.inf, -np.inf]]))
+    np.testing.assert_allclose(found.log_evidence, [-np.inf, np.log(0.5)])
+    assert found.effective_size[1] == pytest.approx(2.0)
+    assert effective_size(np.full(4, -np.inf)) == 0.0
+    nowhere, _ = importance(lambda points: np.full(points.shape[:2], -np.inf), LAPLACE, expand=expand)
+    assert nowhere.log_evidence[0] == -np.inf

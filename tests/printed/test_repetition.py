@@ -5,17 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cpam_bayes.printed.repetition import (
-    INTERPRETATIONS,
-    Evidence,
-    Interpretation,
-    clusters,
-    compare,
-    density_peaks,
-    perturbation_sd,
-    perturbed_list,
-    skewness,
-)
+from cpam_bayes.printed import repetition
+from cpam_bayes.printed.repetition import INTERPRETATIONS, Evidence, compare, perturbation_sd, perturbed_list
 
 FREQUENCIES = np.array([102.0, 311.0, 342.0, 364.0, 390.0, 612.0])
 
@@ -26,22 +17,17 @@ def test_disorder_is_a_share_of_each_frequency_or_of_the_root_mean_square_for_al
     np.testing.assert_allclose(perturbation_sd(np.array([3.0, 4.0]), 0.1, "rms"), 0.35355339, rtol=1e-8)
     with pytest.raises(ValueError, match="received -1e\\+06 Hz, accepted: above zero"):
         perturbed_list(np.array([-1e6]), np.array([1.0]), np.random.default_rng(0))
-
-
-@pytest.mark.parametrize("reading", INTERPRETATIONS)
-def test_noise_has_the_standard_deviation_asked_for(reading: Interpretation) -> None:
-    rng = np.random.default_rng(0)
     spread = np.array([100.0, 300.0, 500.0, 700.0])  # far apart: sorting changes nothing at 1 %
-    sd = perturbation_sd(spread, 0.01, reading)
-    lists = np.array([perturbed_list(spread, sd, rng).frequencies for _ in range(4000)])
-    # an sd of 4000 draws is known to 1.1 %, a mean to 1.6 % of the sd; four of these
-    np.testing.assert_allclose(lists.std(axis=0), sd, rtol=0.045)
-    assert np.all(np.abs(lists.mean(axis=0) - spread) < 0.064 * sd)
+    for reading in INTERPRETATIONS:
+        rng, sd = np.random.default_rng(0), perturbation_sd(spread, 0.01, reading)
+        lists = np.array([perturbed_list(spread, sd, rng).frequencies for _ in range(4000)])
+        # an sd of 4000 draws is known to 1.1 %, a mean to 1.6 % of the sd; four of these
+        np.testing.assert_allclose(lists.std(axis=0), sd, rtol=0.045)
+        assert np.all(np.abs(lists.mean(axis=0) - spread) < 0.064 * sd)
 
 
 def test_a_noisy_list_rises_and_says_when_modes_changed_places() -> None:
-    rng = np.random.default_rng(1)
-    sd = perturbation_sd(FREQUENCIES, 0.1, "relative")
+    rng, sd = np.random.default_rng(1), perturbation_sd(FREQUENCIES, 0.1, "relative")
     found = [perturbed_list(FREQUENCIES, sd, rng) for _ in range(200)]
     assert all(np.all(np.diff(one.frequencies) >= 0.0) for one in found)
     share = np.mean([one.reordered for one in found])
@@ -50,8 +36,7 @@ def test_a_noisy_list_rises_and_says_when_modes_changed_places() -> None:
 
 
 def test_frequencies_that_would_not_be_positive_are_drawn_again_and_counted() -> None:
-    rng = np.random.default_rng(2)
-    f = np.array([10.0, 1000.0])
+    rng, f = np.random.default_rng(2), np.array([10.0, 1000.0])
     found = [perturbed_list(f, perturbation_sd(f, 0.1, "rms"), rng) for _ in range(200)]
     assert all(one.frequencies[0] > 0.0 for one in found)
     # 10 Hz are 0.14 of the standard deviation: a normal draw is below zero with P = 0.444, and
@@ -60,28 +45,13 @@ def test_frequencies_that_would_not_be_positive_are_drawn_again_and_counted() ->
 
 
 # Ten inversions that agree with a posterior N(1, 0.1) far from its bounds.
-PLAIN = Evidence(
-    groups=10,
-    repetition_mean=1.02,
-    repetition_sd=0.09,
-    posterior_mean=1.0,
-    posterior_sd=0.1,
-    effective=1000.0,
-    repetition_at_bound=0.0,
-    posterior_at_bound=0.0,
-    clusters=1,
-    peaks=1,
-    skewness=0.1,
-    contraction=0.1,
-    reordered=0.0,
-    missed=0.0,
-    weighting=1.0,
-    offset=0.0,
-    residual=1.0,
-)
-WIDE = replace(PLAIN, repetition_sd=0.2)
-NARROW = replace(PLAIN, repetition_sd=0.03)
+REPEATED = {"groups": 10, "repetition_mean": 1.02, "repetition_sd": 0.09, "repetition_at_bound": 0.0}
+SAMPLED = {"posterior_mean": 1.0, "posterior_sd": 0.1, "effective": 1000.0, "posterior_at_bound": 0.0}
+FORM = {"clusters": 1, "peaks": 1, "skewness": 0.1, "contraction": 0.1, "weighting": 1.0}
+PLAIN = Evidence(**REPEATED, **SAMPLED, **FORM, reordered=0.0, missed=0.0, offset=0.0, residual=1.0)
+WIDE, NARROW = replace(PLAIN, repetition_sd=0.2), replace(PLAIN, repetition_sd=0.03)
 SHIFTED = replace(PLAIN, repetition_mean=1.2)
+DIFFERING = (WIDE, NARROW, SHIFTED)
 
 
 def test_agreement_within_chance_has_no_cause_whatever_else_is_seen() -> None:
@@ -105,17 +75,15 @@ def test_agreement_within_chance_has_no_cause_whatever_else_is_seen() -> None:
         ({"offset": -0.3}, "misfit"),
     ],
 )
-@pytest.mark.parametrize("differing", [WIDE, NARROW, SHIFTED])
-def test_each_sign_names_its_cause_and_no_other(
-    differing: Evidence, sign: dict[str, float], cause: str
-) -> None:
+@pytest.mark.parametrize("differing", DIFFERING)
+def test_each_sign_names_its_cause_and_no_other(differing, sign: dict[str, float], cause: str) -> None:
     assert compare(replace(differing, **sign)).causes == (cause,)
     below = {key: value - 1 if isinstance(value, int) else 0.99 * value for key, value in sign.items()}
     assert compare(replace(differing, **below)).causes == ("unexplained",)
 
 
 def test_an_inversion_off_the_optimum_of_a_list_that_it_repeats_stopped_early() -> None:
-    for differing in (WIDE, NARROW, SHIFTED):
+    for differing in DIFFERING:
         assert compare(replace(differing, offset=0.5, residual=0.1)).causes == ("misfit",)
         assert compare(replace(differing, offset=0.5, residual=0.09)).causes == ("stopped",)
         assert compare(replace(differing, offset=0.29, residual=0.0)).causes == ("unexplained",)
@@ -132,19 +100,13 @@ def test_other_weights_than_the_noise_explain_a_wider_scatter_only() -> None:
     assert (stuck.means_agree, stuck.sds_agree, stuck.causes) == (False, False, ("bounds",))
 
 
-def test_both_tests_raise_a_false_alarm_in_one_per_cent() -> None:
-    rng = np.random.default_rng(0)
-    n, trials = 10, 4000
-    alarms = np.zeros(2)
-    for _ in range(trials):
-        x = rng.normal(1.0, 0.1, n)
+def test_both_tests_raise_a_false_alarm_in_one_per_cent_and_count_the_posterior_s_own_error() -> None:
+    rng, alarms = np.random.default_rng(0), np.zeros(2)
+    for x in rng.normal(1.0, 0.1, (4000, 10)):
         found = compare(replace(PLAIN, repetition_mean=float(x.mean()), repetition_sd=float(x.std(ddof=1))))
         alarms += (not found.means_agree, not found.sds_agree)
     # binomial: 0.01 +- 0.0016; four of these
-    assert np.all(np.abs(alarms / trials - 0.01) < 0.0064)
-
-
-def test_the_posterior_s_own_sampling_error_counts() -> None:
+    assert np.all(np.abs(alarms / 4000 - 0.01) < 0.0064)
     # the mean of 4 effective draws is known to 0.05, that of ten inversions to 0.028: 0.12 is 2.1 of both
     shifted = replace(PLAIN, repetition_mean=1.12)
     assert not compare(replace(shifted, effective=1e6)).means_agree
@@ -153,16 +115,15 @@ def test_the_posterior_s_own_sampling_error_counts() -> None:
 
 def test_a_gaussian_sample_is_one_cluster_and_two_separate_ones_are_two() -> None:
     rng = np.random.default_rng(1)
-    one = [clusters(rng.standard_normal(10)) for _ in range(500)]
-    two = [clusters(np.r_[rng.standard_normal(5), 12.0 + rng.standard_normal(5)]) for _ in range(500)]
-    assert np.mean(np.array(one) == 2) < 0.03
-    assert np.mean(np.array(two) == 2) > 0.95
+    one, apart = rng.standard_normal((500, 10)), np.repeat([0.0, 12.0], 5)
+    assert np.mean([repetition.clusters(x) == 2 for x in one]) < 0.03
+    assert np.mean([repetition.clusters(x) == 2 for x in one + apart]) > 0.95
     stray, equal, pairs = [0.0, 0.1, 0.2, 0.3, 0.4, 50.0], [1.0] * 4, [1.0, 1.0, 2.0, 2.0]
-    assert [clusters(np.array(values)) for values in (stray, equal, pairs)] == [1, 1, 2]
+    assert [repetition.clusters(np.array(values)) for values in (stray, equal, pairs)] == [1, 1, 2]
 
 
-def test_peaks_of_a_mixture_are_counted_where_they_are_separate() -> None:
-    rng = np.random.default_rng(2)
+def test_separate_peaks_of_a_mixture_are_counted_and_skewness_is_that_of_known_distributions() -> None:
+    density_peaks, skewness, rng = repetition.density_peaks, repetition.skewness, np.random.default_rng(2)
     z = rng.standard_normal(20_000)
     assert density_peaks(z) == 1
     assert density_peaks(np.r_[z[:10_000], 6.0 + z[10_000:]]) == 2
@@ -175,9 +136,6 @@ def test_peaks_of_a_mixture_are_counted_where_they_are_separate() -> None:
     piles = (u, u**4, np.r_[u[:10_000] ** 4, 1.0 - u[10_000:] ** 4], np.ones(100))
     assert [density_peaks(x) for x in piles] == [1, 1, 2, 1]
 
-
-def test_skewness_is_that_of_known_distributions() -> None:
-    rng = np.random.default_rng(4)
     assert skewness(rng.standard_normal(100_000)) == pytest.approx(0.0, abs=0.03)
     assert skewness(rng.exponential(size=100_000)) == pytest.approx(2.0, abs=0.15)
     assert skewness(np.ones(5)) == 0.0

@@ -10,7 +10,7 @@ from cpam_bayes.identification.angle_search import search_parameters
 from cpam_bayes.mechanics.dense import discretise_at
 from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
-from cpam_bayes.plate import Measurement, Sensor, Specimen, builtin
+from cpam_bayes.plate import Measurement, Specimen, builtin
 from cpam_bayes.plate.layup import Layup, parse_layup
 from cpam_bayes.stacking.posterior import MixtureSettings, StackingMixture, sample_mixture, stacking_posterior
 from cpam_bayes.stacking.records import StackingPosterior, StackingSettings
@@ -23,36 +23,22 @@ FREQUENCIES = 6
 SAMPLED = 0.03
 
 
-def specimen_with(
-    frequencies: np.ndarray,
-    layup: str,
-    step: float,
-    relative_std: float | None = 0.01,
-    thickness: float = 0.0032,
-) -> Specimen:
-    own = builtin("C1")
-    plate = replace(own.plate, layup=parse_layup(layup), width=0.19, thickness=thickness)
-    measurement = Measurement(frequencies, 0.0, relative_std, None, ("",) * len(frequencies), True)
-    return replace(own, plate=plate, measurement=measurement, angle_grid_deg=step)
-
-
 def with_layup(specimen: Specimen, layup: Layup) -> Specimen:
     return replace(specimen, plate=replace(specimen.plate, layup=layup))
 
 
 @once_a_run
 def listed(
-    layup: str,
-    step: float,
-    angles: tuple[float, ...] = TRUE,
-    relative_std: float | None = 0.01,
-    thickness: float = 0.0032,
+    layup: str, step: float, angles=TRUE, relative_std: float | None = 0.01, thickness: float = 0.0032
 ) -> Specimen:
     """A thin rectangular plate with the noise-free list of one sequence, and a stated noise."""
-    own = specimen_with(np.arange(1.0, FREQUENCIES + 1.0), layup, step, relative_std, thickness)
+    own = builtin("C1")
+    plate = replace(own.plate, layup=parse_layup(layup), width=0.19, thickness=thickness)
+    own = replace(own, plate=plate, measurement=None, angle_grid_deg=step)
     model = reduced_model(own, angle_parameters(own).union(own.unknowns), FREQUENCIES)
     x = np.concatenate((angles, reference_vector(own, own.unknowns)))
-    return specimen_with(model.full.predict(x).frequencies[0], layup, step, relative_std, thickness)
+    f, unnamed = model.full.predict(x).frequencies[0], ("",) * FREQUENCIES
+    return replace(own, measurement=Measurement(f, 0.0, relative_std, None, unnamed, complete=True))
 
 
 def specimen() -> Specimen:
@@ -82,15 +68,11 @@ N_MODES = 8
 BASIS = RitzSettings(6, 6, layers=0)
 
 
-def unknown_plate(
-    layup: str, edges: str = "FFFF", width: float = SIDE, sensors: tuple[Sensor, ...] = (), step: float = 15.0
-) -> Specimen:
+def unknown_plate(layup="[?/?]_s", edges="FFFF", width=SIDE, sensors=(), step: float = 15.0) -> Specimen:
     """A plate of SIDE by ``width`` m, 10 mm thick, of C1's material."""
-    specimen = builtin("C1")
-    plate = replace(
-        specimen.plate, length=SIDE, width=width, thickness=0.01, layup=parse_layup(layup), edges=edges
-    )
-    return replace(specimen, plate=plate, sensors=sensors, angle_grid_deg=step)
+    own, sizes = builtin("C1"), {"length": SIDE, "width": width, "thickness": 0.01}
+    plate = replace(own.plate, layup=parse_layup(layup), edges=edges, **sizes)
+    return replace(own, plate=plate, sensors=sensors, angle_grid_deg=step)
 
 
 def frequencies(specimen: Specimen, angles_deg: np.ndarray) -> np.ndarray:
@@ -98,8 +80,7 @@ def frequencies(specimen: Specimen, angles_deg: np.ndarray) -> np.ndarray:
     parameters = search_parameters(specimen)
     constants = reference_vector(specimen, specimen.unknowns)
     x = np.hstack((np.tile(constants, (len(angles_deg), 1)), angles_deg))
-    problem = plate_problem(specimen, parameters)
-    found = []
+    problem, found = plate_problem(specimen, parameters), []
     for row in x:  # one at a time: the symmetries of each laminate are its own
         values = parameters.mapping(row[None])
         space = ritz_space(problem.edges, problem.nominal, BASIS)

@@ -1,6 +1,5 @@
 """One sequence given: importance sampling against known integrals, bases and starts, questions to it."""
 
-from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,12 +10,7 @@ from scipy.stats import entropy
 from cpam_bayes.forward_model.model import training_sets
 from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.stacking import posterior as stacking_mixture
-from cpam_bayes.stacking.conditional import (
-    ConditionalFits,
-    Conditionals,
-    RefinementSettings,
-    importance_evidence,
-)
+from cpam_bayes.stacking.conditional import ConditionalFits, RefinementSettings, importance_evidence
 from cpam_bayes.stacking.evaluation import of_sequence, scan_library, scanned_starts
 from cpam_bayes.stacking.posterior import MixtureSettings, sample_mixture
 from cpam_bayes.stacking.queries import angle_information, bending_fractions, given_layup
@@ -36,20 +30,12 @@ def skewed(z: np.ndarray) -> np.ndarray:
 class Known:
     """A posterior of three sequences whose density is known; how many points were asked for in all."""
 
-    axes: Any = SimpleNamespace(
-        to_x=lambda z: z,
-        lower=np.full(N, -np.inf),
-        upper=np.full(N, np.inf),
-        log_prior=lambda z: np.zeros(len(z)),
-    )
     template: Any = SimpleNamespace(log_prior=lambda x: np.zeros(len(x)))
+    axes: Any = SimpleNamespace(to_x=lambda z: z, lower=[-np.inf] * N, upper=[np.inf] * N, **vars(template))
     # so small that no sequence gets a basis of its own
-    model: Any = SimpleNamespace(
-        fast=SimpleNamespace(operator=SimpleNamespace(blocks=[SimpleNamespace(size=1)]))
-    )
-
-    def __init__(self) -> None:
-        self.points = 0
+    operator = SimpleNamespace(blocks=[SimpleNamespace(size=1)])
+    model: Any = SimpleNamespace(fast=SimpleNamespace(operator=operator))
+    points = 0
 
     def at(self, angles_deg: np.ndarray, rows: np.ndarray) -> Any:
         def log_likelihood(x: np.ndarray) -> np.ndarray:
@@ -62,8 +48,7 @@ class Known:
 def fits(centre: float, sd: float) -> ConditionalFits:
     """Optima of three sequences at ``centre``, with a standard deviation; one of two counts."""
     m = len(LOG_Z)
-    optima = np.full((m, 2, N), centre)
-    weight = np.tile([1.0, 0.0], (m, 1))
+    optima, weight = np.full((m, 2, N), centre), np.tile([1.0, 0.0], (m, 1))
     curvature = np.broadcast_to(np.eye(N) / sd**2, (m, 2, N, N))
     return ConditionalFits(LOG_Z, optima[:, 0], np.zeros((m, 1)), optima, weight, curvature)
 
@@ -71,7 +56,7 @@ def fits(centre: float, sd: float) -> ConditionalFits:
 NUMBERS = np.arange(3.0)[:, None]
 
 
-def test_the_evidence_of_a_known_density_is_found_within_its_error() -> None:
+def test_the_evidence_of_a_known_density_is_found_within_its_error_from_more_points_while_unsure() -> None:
     own: Any = Known()
     found = importance_evidence(own, NUMBERS, fits(0.0, 1.0), 13)
     assert np.all(np.abs(found.log_evidence - LOG_Z) <= 4.0 * found.error)
@@ -81,6 +66,17 @@ def test_the_evidence_of_a_known_density_is_found_within_its_error() -> None:
     np.testing.assert_allclose(found.sd[:, 2], 2.0, rtol=0.05)
     assert own.points == 3 * 2**13
 
+    # what stays unsure is sampled with more and more points
+    def error_of(unsure: float, points: int) -> np.ndarray:
+        own, settings = Known(), RefinementSettings(unsure=unsure)
+        found = importance_evidence(own, NUMBERS, fits(0.0, 1.0), 9, settings=settings)
+        assert own.points == 3 * points
+        return found.error
+
+    first = error_of(10.0, 2**9)
+    error_of(0.75 * first.min(), 2**9 + 2**11)  # four times as many points halve the error
+    assert error_of(0.0, 2**9 + 2**11 + 2**13).max() < 0.03
+
 
 def test_a_proposal_that_lies_badly_is_refitted() -> None:
     own: Any = Known()
@@ -89,20 +85,6 @@ def test_a_proposal_that_lies_badly_is_refitted() -> None:
     left = importance_evidence(own, NUMBERS, fits(0.5, 0.6), 12, settings=as_it_was)
     assert np.all(refitted.error < 0.7 * left.error)
     assert np.all(np.abs(refitted.log_evidence - LOG_Z) <= 4.0 * refitted.error)
-
-
-def test_what_stays_unsure_is_sampled_with_more_and_more_points() -> None:
-    def sampled(unsure: float, points: int) -> Conditionals:
-        own: Any = Known()
-        settings = RefinementSettings(unsure=unsure)
-        found = importance_evidence(own, NUMBERS, fits(0.0, 1.0), 9, settings=settings)
-        assert own.points == 3 * points
-        return found
-
-    first = sampled(10.0, 2**9)
-    sampled(0.75 * first.error.min(), 2**9 + 2**11)  # four times as many points halve the error
-    found = sampled(0.0, 2**9 + 2**11 + 2**13)
-    assert found.error.max() < 0.03
 
 
 ANGLES = np.array([TRUE, (60.0, 0.0)])
@@ -123,9 +105,7 @@ def test_a_basis_for_one_sequence_is_good_for_all_constants(noise: float, error:
 
 
 @pytest.mark.slow
-def test_moments_by_emcee_on_the_basis_of_a_sequence_are_those_on_the_whole_one(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_moments_by_emcee_on_the_basis_of_a_sequence_are_those_on_the_whole_one(monkeypatch) -> None:
     small = mixture().components[0]
     monkeypatch.setattr(stacking_mixture, "of_sequence", lambda conditional, angles, noise: conditional)
     whole = sample_mixture(answer(), 0, settings=MixtureSettings(least=2.0)).components[0]
@@ -133,21 +113,16 @@ def test_moments_by_emcee_on_the_basis_of_a_sequence_are_those_on_the_whole_one(
     for a, b in ((small.chains, whole.chains), (small.importance, whole.importance)):
         moved = (a.mean - b.mean) / np.hypot(a.mean_error, b.mean_error)
         assert np.abs(moved).max() < 4.0
-    assert abs(small.log_evidence - whole.log_evidence) < 4.0 * np.hypot(
-        small.log_evidence_error, whole.log_evidence_error
-    )
+    error = np.hypot(small.log_evidence_error, whole.log_evidence_error)
+    assert abs(small.log_evidence - whole.log_evidence) < 4.0 * error
 
 
-@cache
-def library() -> np.ndarray:
-    return scan_library(answer().conditional, 40, np.random.default_rng(0))
-
-
-def test_starts_are_within_the_bounds_and_ordered_by_misfit() -> None:
+def test_starts_are_within_the_bounds_ordered_by_misfit_and_scaled_to_the_list() -> None:
     own = answer().conditional
-    assert library().shape == (40, own.n_constants)
-    assert np.all(np.isfinite(own.template.log_prior(own.nominal(library()))))
-    starts, misfits = scanned_starts(own, ANGLES, library(), 5)
+    library = scan_library(own, 40, np.random.default_rng(0))
+    assert library.shape == (40, own.n_constants)
+    assert np.all(np.isfinite(own.template.log_prior(own.nominal(library))))
+    starts, misfits = scanned_starts(own, ANGLES, library, 5)
     assert starts.shape == (2, 5, own.parameters.size)
     assert np.all((starts >= own.parameters.lower) & (starts <= own.parameters.upper))
     measured = own.template.measurement.frequencies
@@ -157,16 +132,12 @@ def test_starts_are_within_the_bounds_and_ordered_by_misfit() -> None:
         # with the bias of the theory a factor of all stiffnesses is not quite one of all frequencies
         np.testing.assert_allclose(misfit, told, rtol=1e-3)
         assert np.all(np.diff(misfit) >= -1e-12)
-
-
-def test_a_member_counts_with_the_factor_on_its_stiffnesses_that_suits_the_list() -> None:
-    own = answer().conditional
+    # a member counts with the factor on its stiffnesses that suits the list
     n = own.n_constants
     truth = answer().components.fits.x[0, :n]
-    angles = answer().top[:1]
-    moduli = np.array([name[0] in "EG" for name in own.template.model.parameters.names[:n]])
+    moduli = [name[0] in "EG" for name in own.template.model.parameters.names[:n]]
     scaled = np.where(moduli, 0.9 * truth, truth)
-    start = scanned_starts(own, angles, scaled[None], 1)[0][0, 0, :n]
+    start = scanned_starts(own, answer().top[:1], scaled[None], 1)[0][0, 0, :n]
     # all stiffnesses together set the level of all frequencies: the factor brings back the optimum,
     # whose own residuals have a mean of less than the noise of 1 %, 2 % of a stiffness
     np.testing.assert_allclose(start, truth, rtol=0.02)
@@ -179,34 +150,25 @@ def test_plies_weigh_in_bending_as_their_second_moments() -> None:
     np.testing.assert_allclose(bending_fractions(parse_layup("[?/0/?]_s")), [19 / 27, 1 / 27], rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("certain", "better"), [((1.0, 0.6), True), ((0.9, 0.6), True), ((0.6, 0.9), False), ((0.9, 0.9), False)]
-)
-def test_outer_angles_are_better_only_if_less_of_them_is_open(
-    certain: tuple[float, float], better: bool
-) -> None:
+@pytest.mark.parametrize("certain", [(1.0, 0.6), (0.9, 0.6), (0.6, 0.9), (0.9, 0.9)])
+def test_outer_angles_are_better_only_if_less_of_them_is_open(certain: tuple[float, float]) -> None:
     p = np.array([[c, 1.0 - c] for c in certain])
     found = angle_information(parse_layup("[?/?]_s"), p)
-    np.testing.assert_allclose(found.entropy_bits, [entropy([c, 1.0 - c], base=2) for c in certain])
-    assert found.outer_better is better
-    assert found.most_bits == 1.0
+    np.testing.assert_allclose(found.entropy_bits, entropy(p, base=2, axis=1))
+    assert (found.outer_better, found.most_bits) == (certain[0] > certain[1], 1.0)
     np.testing.assert_array_equal(found.outer_first, [0, 1])
 
 
-def test_a_sequence_of_the_grid_has_the_place_and_probability_of_its_class() -> None:
+def test_a_sequence_of_the_grid_has_the_probability_of_its_class_and_one_not_listed_is_computed() -> None:
     own = answer()
     found = given_layup(own, np.array(TRUE))  # the list has its mirror image
     np.testing.assert_array_equal(given_layup(own, np.array([-90.0, 30.0])).angles_deg, [90.0, 30.0])
     for angles in ((10.0, 0.0), (0.0, 30.0, 60.0)):
         with pytest.raises(ValueError, match="accepted: 2 angles on the grid of 30 degrees"):
             given_layup(own, np.array(angles))
-    assert found.rank == 1
-    assert found.probability == own.probability[0]
-    assert found.log_evidence == own.log_evidence[0]
-
-
-def test_one_that_is_not_listed_is_computed() -> None:
-    own = answer()
+    first = (1, own.probability[0], own.log_evidence[0])
+    assert (found.rank, found.probability, found.log_evidence) == first
+    # one that is not listed is computed
     found = given_layup(shortened(2), own.top[2])
     assert found.rank is None
     # two estimates of one integral, their errors, and one point in a thousand more

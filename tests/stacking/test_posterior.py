@@ -9,28 +9,17 @@ import pytest
 from scipy.stats import norm
 
 import cpam_bayes as cb
+from cpam_bayes.forward_model import model as forward_model
 from cpam_bayes.forward_model.build import reduced_model
-from cpam_bayes.forward_model.model import (
-    angle_parameters,
-    converged_model,
-    reference_vector,
-    training_sets,
-    with_references,
-)
-from cpam_bayes.forward_model.reduced import ReducedModel, focused
+from cpam_bayes.forward_model.model import angle_parameters, converged_model, reference_vector, training_sets
+from cpam_bayes.forward_model.reduced import focused
 from cpam_bayes.inference.posterior import plate_posterior
 from cpam_bayes.inference.sampling import importance_evidence as known_evidence
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import Specimen, builtin, read_plate
-from cpam_bayes.stacking import conditional as sequence_importance
+from cpam_bayes.stacking import conditional
 from cpam_bayes.stacking import posterior as stacking
-from cpam_bayes.stacking.conditional import (
-    ConditionalPosterior,
-    RefinementSettings,
-    conditional_posterior,
-    fit_conditionals,
-    importance_evidence,
-)
+from cpam_bayes.stacking.conditional import conditional_posterior, fit_conditionals, importance_evidence
 from cpam_bayes.stacking.evaluation import NEAR
 from cpam_bayes.stacking.posterior import common_starts, stacking_posterior, stacking_problem
 from cpam_bayes.stacking.queries import given_layup
@@ -43,6 +32,8 @@ from tests.plate_file import described
 from tests.stacking.cases import TRUE, listed, unknown_plate, with_layup
 
 QUICK = StackingSettings(draws=50, listed=72, log2_points=7)
+# Constants of a data sheet.
+SHEET = {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8}
 
 
 @pytest.fixture(scope="module")
@@ -79,45 +70,21 @@ def test_a_symmetric_sequence_of_an_unsymmetric_laminate_has_its_common_errors()
 
 def test_errors_in_common_are_those_of_modes_that_cross_on_the_way_to_the_list() -> None:
     """Two modes change places between the reference and the plate, and sides are known to 1 %."""
-    own = read_plate(
-        {
-            "name": "two modes that cross",
-            "plate": {
-                "length_mm": 310.0,
-                "width_mm": 228.0,
-                "thickness_mm": 3.1,
-                "mass_g": 340.7,
-                "layup": "[0_2/?/0]_s",
-                "edges": "FFFF",
-                "sd": {"length_mm": 3.1, "width_mm": 2.28, "thickness_mm": 0.02},
-            },
-            "material": {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8},
-            "unknowns": {
-                "E1_GPa": [80.0, 200.0],
-                "E2_GPa": [5.0, 16.0],
-                "nu12": [0.15, 0.45],
-                "G12_GPa": [2.5, 10.0],
-                "angle_grid_deg": 30,
-            },
-            "measurement": {
-                "frequencies_hz": [80.2, 146.3, 218.6, 310.2, 347.8, 403.6, 467.7, 475.4],
-                "relative_std": 0.002,
-            },
-        }
-    )
-    problem = stacking_problem(own, 0)
-    common = problem.conditional.common
-    assert common is not None
-    found = common.powers * common.sd[:, None]
-    at = {"reference": (132e9, 9.1e9, 0.31, 4.8e9), "list": (136.2e9, 8.9e9, 0.3, 4.64e9)}
-    errors = {
-        of: stacking._in_common(own, problem.conditional.model, np.zeros(1), np.array(constants))
-        for of, constants in at.items()
-    }
-    covariance = {of: e.T @ e for of, e in errors.items()}
-    scale = np.abs(covariance["list"]).max()
-    assert np.abs(found.T @ found - covariance["list"]).max() < 0.05 * scale
-    assert np.abs(covariance["reference"] - covariance["list"]).max() > 0.3 * scale
+    asked = described((310.0, 228.0, 3.1), 0.0, SHEET, layup="[0_2/?/0]_s")
+    asked["plate"] |= {"mass_g": 340.7, "sd": {"length_mm": 3.1, "width_mm": 2.28, "thickness_mm": 0.02}}
+    del asked["plate"]["density_kg_m3"]
+    asked["unknowns"] = {"E1_GPa": [80.0, 200.0], "E2_GPa": [5.0, 16.0], "nu12": [0.15, 0.45]}
+    asked["unknowns"] |= {"G12_GPa": [2.5, 10.0], "angle_grid_deg": 30}
+    f = [80.2, 146.3, 218.6, 310.2, 347.8, 403.6, 467.7, 475.4]
+    own = read_plate({**asked, "measurement": {"frequencies_hz": f, "relative_std": 0.002}})
+    of_sequences = stacking_problem(own, 0).conditional
+    found = of_sequences.common.powers * of_sequences.common.sd[:, None]
+    at = np.array([[132e9, 9.1e9, 0.31, 4.8e9], [136.2e9, 8.9e9, 0.3, 4.64e9]])
+    reference, list_ = (stacking._in_common(own, of_sequences.model, np.zeros(1), x) for x in at)
+    expected = list_.T @ list_
+    scale = np.abs(expected).max()
+    assert np.abs(found.T @ found - expected).max() < 0.05 * scale
+    assert np.abs(reference.T @ reference - expected).max() > 0.3 * scale
 
 
 @pytest.mark.slow
@@ -149,13 +116,16 @@ def test_what_is_given_up_is_out_of_sight(specimen: Specimen, answer: StackingPo
     assert np.all(answer.log_evidence > answer.log_evidence[0] - NEAR)
 
 
+def of_both_angles(specimen: Specimen) -> conditional.ConditionalPosterior:
+    model = reduced_model(specimen, angle_parameters(specimen).union(specimen.unknowns), 6)
+    return conditional_posterior(model, 2, specimen.measurement, np.full(6, 1e-4))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("relative_std", [pytest.param(0.01, marks=pytest.mark.weekly), None])
 def test_the_evidence_of_a_sequence_is_that_of_the_known_layup(relative_std: float | None) -> None:
     specimen = listed("[(?/?)_2]_s", 15.0, TRUE, relative_std)
-    assert specimen.measurement is not None
-    model = reduced_model(specimen, angle_parameters(specimen).union(specimen.unknowns), 6)
-    own = conditional_posterior(model, 2, specimen.measurement, np.full(6, 1e-4))
+    own = of_both_angles(specimen)
     start = np.concatenate((reference_vector(specimen, specimen.unknowns), [0.01] * (relative_std is None)))
     angles = np.array([TRUE, (45.0, 0.0)])
     fits = fit_conditionals(own, angles, start[None])
@@ -171,9 +141,8 @@ def test_the_evidence_of_a_sequence_is_that_of_the_known_layup(relative_std: flo
 
 
 # Few sequences, treated as if they were many.
-FORCED = replace(
-    QUICK, exhaustive=0, training=TrainingSettings(initial=60, each_round=40, max_size=160, log2_points=5)
-)
+TRAINING = TrainingSettings(initial=60, each_round=40, max_size=160, log2_points=5)
+FORCED = replace(QUICK, exhaustive=0, training=TRAINING)
 
 
 @pytest.fixture(scope="module")
@@ -182,26 +151,26 @@ def surrogate(specimen: Specimen) -> StackingPosterior:
 
 
 @pytest.mark.slow
-def test_the_surrogate_gives_the_distribution_of_brute_force(
-    answer: StackingPosterior, surrogate: StackingPosterior
-) -> None:
+def test_the_surrogate_gives_what_brute_force_gives_with_any_number_of_workers(specimen, answer, surrogate):
     assert surrogate.check is not None
     assert answer.check is None
     p, q = distribution(answer), distribution(surrogate)
     # two lists of 72 classes, which are all of the 12^2 sequences here
-    distance = 0.5 * sum(abs(p.get(s, 0.0) - q.get(s, 0.0)) for s in set(p) | set(q))
-    assert distance <= 0.01
+    assert 0.5 * sum(abs(p.get(s, 0.0) - q.get(s, 0.0)) for s in set(p) | set(q)) <= 0.01
     np.testing.assert_allclose(surrogate.marginals, answer.marginals, atol=0.01)
     assert surrogate.log_evidence_total == pytest.approx(answer.log_evidence_total, abs=0.02)
     assert surrogate.unaccounted <= DEFAULT_SETTINGS.unaccounted
+    with open_executor(None, 2) as executor:
+        again = stacking_posterior(specimen, 0, settings=FORCED, executor=executor)
+    np.testing.assert_array_equal(again.probability, surrogate.probability)
+    np.testing.assert_array_equal(again.marginals, surrogate.marginals)
+    np.testing.assert_array_equal(again.drawn.conditionals.draws, surrogate.drawn.conditionals.draws)
 
 
 @pytest.mark.slow
 @pytest.mark.weekly
 @pytest.mark.parametrize("relative_std", [0.01, None])
-def test_of_1296_sequences_pruned_and_by_surrogate_the_distribution_is_that_of_brute_force(
-    relative_std: float | None,
-) -> None:
+def test_of_1296_sequences_pruned_and_by_surrogate_the_distribution_is_that_of_brute_force(relative_std):
     specimen = listed("[(?/?)_2]_s", 5.0, TRUE, relative_std)
     every = replace(QUICK, listed=700, log2_points=6)
     training = TrainingSettings(initial=100, each_round=60, max_size=340, log2_points=6)
@@ -222,26 +191,12 @@ def test_of_1296_sequences_pruned_and_by_surrogate_the_distribution_is_that_of_b
 
 
 @pytest.mark.slow
-def test_the_surrogate_does_not_depend_on_the_number_of_workers(
-    specimen: Specimen, surrogate: StackingPosterior
-) -> None:
-    with open_executor(None, 2) as executor:
-        again = stacking_posterior(specimen, 0, settings=FORCED, executor=executor)
-    np.testing.assert_array_equal(again.probability, surrogate.probability)
-    np.testing.assert_array_equal(again.marginals, surrogate.marginals)
-    np.testing.assert_array_equal(again.drawn.conditionals.draws, surrogate.drawn.conditionals.draws)
-
-
-@pytest.mark.slow
 def test_of_a_hybrid_the_sequence_and_a_modulus_of_each_material_are_found() -> None:
     # glass inside carbon, its plies at 45 and -45 degrees; off 0 and 90 a mirror image cannot be told apart
     truth, asked = hybrid(), hybrid(layup="[c0_2/g?/g?/c90]_s")
     f = cb.forward(truth, n_modes=8).frequencies
-    asked["unknowns"] = {
-        "angle_grid_deg": 45.0,
-        "carbon": {"E1_GPa": [80.0, 200.0]},
-        "glass": {"E1_GPa": [20.0, 80.0]},
-    }
+    of_each = {"carbon": {"E1_GPa": [80.0, 200.0]}, "glass": {"E1_GPa": [20.0, 80.0]}}
+    asked["unknowns"] = {"angle_grid_deg": 45.0, **of_each}
     asked["measurement"] = {"frequencies_hz": [round(float(v), 2) for v in f], "relative_std": 0.002}
     answer = stacking_posterior(read_plate(asked), 0, settings=QUICK)
     assert answer.enumerated == 4**2
@@ -259,11 +214,9 @@ def test_the_truth_is_among_the_few_sequences_that_are_good_with_more_noise() ->
     settings = replace(QUICK, exhaustive=0, training=few)
     # so thin that the error of theory leaves the peak as narrow as the noise makes it
     problem = stacking_problem(listed(layup, step, truth, 0.0003, 0.0008), 0, settings=settings)
-    assert problem.sums is not None
     true = members(np.searchsorted(problem.grid_deg, truth), problem.symmetries)
     for seed in (0, 1):
         seeds = noisier_seeds(problem, problem.sums, np.random.default_rng(seed), lambda text: None)
-        assert seeds is not None
         assert any(np.any(np.all(true == one, axis=1)) for one in seeds)
         # of 5832 sequences, of which 180 are looked at
         assert len(seeds) < 20
@@ -271,24 +224,22 @@ def test_the_truth_is_among_the_few_sequences_that_are_good_with_more_noise() ->
     assert noisier_seeds(noisy, problem.sums, np.random.default_rng(0), lambda text: None) is None
 
 
+# A thickness that is known roughly, and exact sizes.
+ROUGH = {"thickness_mm": 0.06, "density_kg_m3": 0.0, "length_mm": 0.0, "width_mm": 0.0}
+
+
 def test_a_thickness_that_is_known_roughly_counts_in_the_evidence() -> None:
     """One frequency of a narrow strip along the fibres, f ~ h E1^0.5: one Gaussian."""
-    sd, e1_sd, noise, listed_hz = 0.06, 4.0, 0.002, 222.0
-    material = {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8, "sd": {"E1_GPa": e1_sd}}
-    strip = described(
-        (300.0, 20.0, 2.1),
-        1409.0,
-        material,
-        layup="[?_2/0_2]_s",
-        unknowns={"E1_GPa": [60.0, 220.0], "angle_grid_deg": 90.0},
-        measurement={"frequencies_hz": [listed_hz], "relative_std": noise},
-    )
-    strip["plate"]["sd"] = {"thickness_mm": sd, "density_kg_m3": 0.0, "length_mm": 0.0, "width_mm": 0.0}
-    answer = stacking_posterior(with_references(read_plate(strip)), 0)
+    e1_sd, noise, listed_hz = 4.0, 0.002, 222.0
+    strip = described((300.0, 20.0, 2.1), 1409.0, {**SHEET, "sd": {"E1_GPa": e1_sd}}, layup="[?_2/0_2]_s")
+    strip["unknowns"] = {"E1_GPa": [60.0, 220.0], "angle_grid_deg": 90.0}
+    strip["measurement"] = {"frequencies_hz": [listed_hz], "relative_std": noise}
+    strip["plate"]["sd"] = ROUGH
+    answer = stacking_posterior(forward_model.with_references(read_plate(strip)), 0)
     (first,) = np.flatnonzero(answer.top[:, 0] == 0.0)
     along = {**strip, "plate": {**strip["plate"], "layup": "[0_8]"}}
     away = np.log(listed_hz / float(cb.forward(along, n_modes=1).frequencies[0]))
-    spread = np.hypot(noise, np.hypot(sd / 2.1, 0.5 * e1_sd / 132.0))
+    spread = np.hypot(noise, np.hypot(ROUGH["thickness_mm"] / 2.1, 0.5 * e1_sd / 132.0))
     expected = norm.logpdf(away / spread) - np.log(spread * listed_hz)
     assert answer.log_evidence[first] == pytest.approx(expected, abs=0.1)
     # the thickness as stated would cost as much as this
@@ -300,39 +251,26 @@ def test_a_thickness_that_is_known_roughly_counts_in_the_evidence() -> None:
 def test_probabilities_of_layups_are_right_where_a_thickness_is_known_to_3_percent() -> None:
     """Layup, constants and thickness drawn from their priors: no probability near one is wrong."""
     rng, scores = np.random.default_rng(78), []
-    sizes = {"thickness_mm": 0.06, "density_kg_m3": 0.0, "length_mm": 0.0, "width_mm": 0.0}
-    sheet = {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8}
     known_to = {"E1_GPa": 1.32, "E2_GPa": 0.091, "G12_GPa": 0.048}
+    unknowns = {"E1_GPa": [100, 160], "E2_GPa": [6, 13], "G12_GPa": [3, 7], "angle_grid_deg": 5.0}
     for _ in range(20):
         angle, h = abs(float(rng.choice(np.arange(-85.0, 91.0, 5.0)))), 2.0 + 0.06 * rng.standard_normal()
-        true = {name: v + known_to.get(name, 0.0) * rng.standard_normal() for name, v in sheet.items()}
+        true = {name: v + known_to.get(name, 0.0) * rng.standard_normal() for name, v in SHEET.items()}
         plate = described((300.0, 120.0, h), 1500.0, true, layup=f"[{angle:g}_2/0_2]_s")
         f = cb.forward(plate, n_modes=3).frequencies * (1.0 + 0.003 * rng.standard_normal(3))
-        stated = described(
-            (300.0, 120.0, 2.0),
-            1500.0,
-            {**sheet, "sd": known_to},
-            layup="[?_2/0_2]_s",
-            unknowns={"E1_GPa": [100, 160], "E2_GPa": [6, 13], "G12_GPa": [3, 7], "angle_grid_deg": 5.0},
-            measurement={"frequencies_hz": np.sort(f).round(3).tolist(), "relative_std": 0.003},
-        )
-        stated["plate"]["sd"] = sizes
-        answer = stacking_posterior(with_references(read_plate(stated)), 0)
+        stated = described((300.0, 120.0, 2.0), 1500.0, {**SHEET, "sd": known_to}, layup="[?_2/0_2]_s")
+        stated["unknowns"] = unknowns
+        stated["measurement"] = {"frequencies_hz": np.sort(f).round(3).tolist(), "relative_std": 0.003}
+        stated["plate"]["sd"] = ROUGH
+        answer = stacking_posterior(forward_model.with_references(read_plate(stated)), 0)
         same = np.abs(answer.top[:, 0]) == angle
         scores.append(np.log(max(float(np.sum((answer.probability * answer.multiplicity)[same])), 1e-12)))
     assert np.mean(scores) > -0.4
 
 
-@pytest.fixture(scope="module")
-def own(specimen: Specimen) -> ConditionalPosterior:
-    assert specimen.measurement is not None
-    model = reduced_model(specimen, angle_parameters(specimen).union(specimen.unknowns), 6)
-    return conditional_posterior(model, 2, specimen.measurement, np.full(6, 1e-4))
-
-
-def test_a_focus_within_a_tolerance_for_most_frequencies_has_fewer_vectors(own: ConditionalPosterior) -> None:
-    rng = np.random.default_rng(0)
-    x = training_sets(own.model.full.operator.problem, 100, rng)
+def test_a_focus_within_a_tolerance_for_most_frequencies_has_fewer_vectors(specimen: Specimen) -> None:
+    own = of_both_angles(specimen)
+    x = training_sets(own.model.full.operator.problem, 100, np.random.default_rng(0))
     every, most = (focused(own.model, x, 2e-3, share) for share in (1.0, 0.9))
     assert max(b.size for b in most.fast.operator.blocks) < max(b.size for b in every.fast.operator.blocks)
     exact = own.model.predict(x).frequencies
@@ -344,22 +282,21 @@ def test_a_focus_within_a_tolerance_for_most_frequencies_has_fewer_vectors(own: 
 
 @pytest.mark.slow
 @pytest.mark.weekly
-def test_unsure_evidences_are_those_of_the_whole_model_on_bases_of_their_own(
-    specimen: Specimen, own: ConditionalPosterior, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    angles = np.array([TRUE, (45.0, 15.0), (-75.0, 0.0)])
+def test_unsure_evidences_are_those_of_the_whole_model_on_bases_of_their_own(specimen, monkeypatch) -> None:
+    own, angles = of_both_angles(specimen), np.array([TRUE, (45.0, 15.0), (-75.0, 0.0)])
     fits = fit_conditionals(own, angles, common_starts(specimen, own))
     sizes: list[int] = []
 
-    def counted(model: ReducedModel, x: np.ndarray, tolerance: float) -> ReducedModel:
+    def counted(model: Any, x: np.ndarray, tolerance: float) -> Any:
         found = focused(model, x, tolerance)
         sizes.append(sum(b.size for b in found.fast.operator.blocks))
         return found
 
-    monkeypatch.setattr(sequence_importance, "focused", counted)
-    whole = importance_evidence(own, angles, fits, settings=RefinementSettings(unsure=0.0, large=1000))
+    monkeypatch.setattr(conditional, "focused", counted)
+    unsure = conditional.RefinementSettings(unsure=0.0)
+    whole = importance_evidence(own, angles, fits, settings=replace(unsure, large=1000))
     assert not sizes
-    narrow = importance_evidence(own, angles, fits, settings=RefinementSettings(unsure=0.0, large=1))
+    narrow = importance_evidence(own, angles, fits, settings=replace(unsure, large=1))
     assert len(sizes) == 2 * len(angles), "each sequence, at either number of points"
     assert max(sizes) < 0.7 * sum(b.size for b in own.model.fast.operator.blocks)
     # an error of a frequency, in standard deviations of the noise, counts as often as the misfit has of them

@@ -3,52 +3,26 @@
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.stats import binom, kstest
 
 from cpam_bayes import calibration
-from cpam_bayes.calibration import (
-    N_DRAWS,
-    Experiment,
-    Nature,
-    PlateSource,
-    RankStatistics,
-    Repetition,
-    calibrate,
-    coverage,
-    holm,
-    parameter_names,
-    rank_statistics,
-    repeat,
-    simulate,
-    spread_draws,
-)
+from cpam_bayes.calibration import N_DRAWS, Experiment, calibrate, coverage, rank_statistics, repeat
 from cpam_bayes.inference.ensemble import EnsembleSettings, StoreError
 from cpam_bayes.inference.posterior import NOISE_PRIOR
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.parallel import open_executor
 from tests.linear_model import LinearModel
 from tests.stacking.cases import specimen
-from validation import draw_store
+from validation import draw_store, sequences
 from validation.draw_store import DrawStore, stored_calibration
-from validation.sequences import (
-    CoverageSettings,
-    Trial,
-    known_angles,
-    randomised_place,
-    stacking_coverage,
-    summarised,
-    with_unknown_layup,
-)
 
 N_RANKS = N_DRAWS + 1
 # A short chain for a short test; the full study has longer ones.
-BRIEF = EnsembleSettings(
-    walkers=16, round_steps=160, r_hat=1.1, effective=float(N_DRAWS), most_steps=1600, lengths=5.0
-)
-FEW_PARTICLES = SwarmSettings(particles=12, iterations=40)
+BRIEF = EnsembleSettings(walkers=16, round_steps=160, r_hat=1.1, effective=99.0, most_steps=1600, lengths=5.0)
 
 
 @dataclass(frozen=True)
@@ -57,15 +31,11 @@ class LinearSource:
 
     solver_error: float = 1e-4
 
-    def __call__(self) -> Nature:
-        return Nature(LinearModel(), np.full(4, self.solver_error))
+    def __call__(self) -> calibration.Nature:
+        return calibration.Nature(LinearModel(), np.full(4, self.solver_error))
 
 
-def linear(relative_std: float | None, seed: int = 5, solver_error: float = 1e-4) -> Experiment:
-    return Experiment(LinearSource(solver_error), 0.5, relative_std, seed, BRIEF, FEW_PARTICLES)
-
-
-# Statistics of ranks
+LINEAR = Experiment(LinearSource(), 0.5, None, 5, BRIEF, SwarmSettings(particles=12, iterations=40))
 
 
 def gaussian_ranks(n: int, rng: np.random.Generator, sd: float = 1.0, shift: float = 0.0) -> np.ndarray:
@@ -76,45 +46,40 @@ def gaussian_ranks(n: int, rng: np.random.Generator, sd: float = 1.0, shift: flo
     return np.sum(draws < truth, axis=1, keepdims=True)
 
 
-def statistics(ranks: np.ndarray, simulations: int = 4000) -> RankStatistics:
+def statistics(ranks: np.ndarray, simulations: int = 4000) -> calibration.RankStatistics:
     return rank_statistics(ranks, N_RANKS, np.random.default_rng(0), simulations=simulations)
 
 
-def test_uniform_ranks_are_refused_as_often_as_the_level_says() -> None:
+def test_uniform_ranks_are_refused_as_often_as_the_level_says_and_those_of_wrong_posteriors_are() -> None:
     rng = np.random.default_rng(1)
     found = [statistics(gaussian_ranks(200, rng), simulations=300).parameters[0] for _ in range(200)]
     p = np.array([(one.chi_square_p, one.ecdf_p) for one in found])
     # 200 tables at the level of 5 %: 10 refused, sd 3.1
     refused = np.sum(p < 0.05, axis=0)
-    assert np.all(refused <= binom.ppf(0.999, 200, 0.05))
-    assert np.all(refused >= binom.ppf(0.001, 200, 0.05))
-
-
-@pytest.mark.parametrize(("sd", "shift"), [(0.8, 0.0), (1.2, 0.0), (1.0, 0.25), (1.0, -0.25)])
-def test_a_posterior_that_is_wrong_by_a_fifth_is_refused(sd: float, shift: float) -> None:
-    ranks = gaussian_ranks(500, np.random.default_rng(2), sd, shift)
-    own = statistics(ranks)
-    assert own.parameters[0].corrected_p < 0.01
-    cumulative = own.parameters[0].cumulative[:-1]
-    assert np.any((cumulative < own.ecdf_band.lower) | (cumulative > own.ecdf_band.upper))
+    low, high = binom.ppf((0.001, 0.999), 200, 0.05)
+    assert np.all((refused >= low) & (refused <= high))
+    # a posterior that is wrong by a fifth is refused
+    for sd, shift in ((0.8, 0.0), (1.2, 0.0), (1.0, 0.25), (1.0, -0.25)):
+        own = statistics(gaussian_ranks(500, np.random.default_rng(2), sd, shift))
+        assert own.parameters[0].corrected_p < 0.01
+        cumulative = own.parameters[0].cumulative[:-1]
+        assert np.any((cumulative < own.ecdf_band.lower) | (cumulative > own.ecdf_band.upper))
 
 
 def test_bands_hold_uniform_counts_simultaneously() -> None:
     rng = np.random.default_rng(3)
     band = rank_statistics(rng.integers(0, N_RANKS, (300, 1)), N_RANKS, rng)
     counts = rng.multinomial(300, np.full(N_RANKS, 1 / N_RANKS), size=2000)
-    for rows, own in (
-        (np.cumsum(counts, axis=1)[:, :-1], band.ecdf_band),
-        (counts.reshape(2000, 20, 5).sum(axis=2), band.histogram_band),
-    ):
+    cumulative, bins = np.cumsum(counts, axis=1)[:, :-1], counts.reshape(2000, 20, 5).sum(axis=2)
+    for rows, own in ((cumulative, band.ecdf_band), (bins, band.histogram_band)):
         held = np.mean(np.all((rows >= own.lower) & (rows <= own.upper), axis=1))
         # 4000 simulated and 2000 tried rows give it to 0.006; counts are whole numbers, so it may hold more
         assert 0.93 < held < 0.985
 
 
 def test_holm_multiplies_the_smallest_by_the_number_and_never_falls() -> None:
-    np.testing.assert_allclose(holm(np.array([0.04, 0.01, 0.03])), [0.06, 0.03, 0.06])
-    np.testing.assert_allclose(holm(np.array([0.9, 0.5])), [1.0, 1.0])
+    for p, corrected in (([0.04, 0.01, 0.03], [0.06, 0.03, 0.06]), ([0.9, 0.5], [1.0, 1.0])):
+        np.testing.assert_allclose(calibration.holm(np.array(p)), corrected)
 
 
 def test_coverage_counts_intervals_that_hold_the_truth() -> None:
@@ -125,28 +90,25 @@ def test_coverage_counts_intervals_that_hold_the_truth() -> None:
     assert narrow[0].share == pytest.approx(1 / 3, abs=1e-3)
 
 
-@pytest.mark.parametrize(("ranks", "bins"), [([[100]], 20), ([[-1]], 20), ([[5]], 30)])
-def test_ranks_out_of_range_and_uneven_bins_are_refused(ranks: list[list[int]], bins: int) -> None:
-    with pytest.raises(ValueError, match="accepted"):
-        rank_statistics(np.array(ranks), N_RANKS, np.random.default_rng(0), n_bins=bins)
+def test_ranks_out_of_range_and_uneven_bins_are_refused() -> None:
+    for rank, bins in ((100, 20), (-1, 20), (5, 30)):
+        with pytest.raises(ValueError, match="accepted"):
+            rank_statistics(np.array([[rank]]), N_RANKS, np.random.default_rng(0), n_bins=bins)
 
 
 def test_spread_draws_come_from_all_walkers_and_all_steps() -> None:
     chain = np.arange(2 * 300 * 10.0).reshape(2, 300, 10, 1)
-    found = spread_draws(chain, N_DRAWS, np.random.default_rng(0))[:, 0]
+    found = calibration.spread_draws(chain, N_DRAWS, np.random.default_rng(0))[:, 0]
     ensemble, rest = np.divmod(found, 3000)
     step, walker = np.divmod(rest, 10)
     assert len(set(zip(ensemble, walker, strict=True))) == 20
     np.testing.assert_array_equal(step, ((np.arange(N_DRAWS) + 0.5) * 300 / N_DRAWS).astype(int))
 
 
-# What is simulated
-
-
 def test_truths_follow_the_prior_and_lists_the_noise_model() -> None:
-    own = linear(None, solver_error=0.002)
+    own = replace(LINEAR, source=LinearSource(0.002))
     nature, rng = own.source(), np.random.default_rng(7)
-    drawn = [simulate(own, nature, rng) for _ in range(1500)]
+    drawn = [calibration.simulate(own, nature, rng) for _ in range(1500)]
     truth = np.array([t for t, _ in drawn])
     assert kstest(truth[:, 0], "uniform", args=(-2, 4)).pvalue > 0.01
     cdf = np.searchsorted(np.sort(NOISE_PRIOR.sample(np.random.default_rng(8), 200_000)), truth[:, 2]) / 2e5
@@ -157,12 +119,8 @@ def test_truths_follow_the_prior_and_lists_the_noise_model() -> None:
     assert kstest(z.ravel(), "norm").pvalue > 0.01
 
 
-# Sampled posteriors
-
-
-def check(found: tuple[Repetition, ...]) -> None:
-    ranks = np.array([r.ranks for r in found])
-    below = np.array([r.below for r in found])
+def check(found: tuple[calibration.Repetition, ...]) -> None:
+    ranks, below = np.array([r.ranks for r in found]), np.array([r.below for r in found])
     own = rank_statistics(ranks, N_RANKS, np.random.default_rng(0), n_bins=10)
     assert min(p.corrected_p for p in own.parameters) > 0.01
     for column in below.T:
@@ -177,106 +135,94 @@ def check(found: tuple[Repetition, ...]) -> None:
 @pytest.mark.weekly
 def test_sampled_posteriors_of_a_linear_model_are_calibrated() -> None:
     with open_executor("processes", 2) as pool:
-        found = calibrate(linear(None), 120, executor=pool)
+        found = calibrate(LINEAR, 120, executor=pool)
     check(found)
-    assert found[5] == repeat(linear(None), 5), "processes give the same bit for bit"
+    assert found[5] == repeat(LINEAR, 5), "processes give the same bit for bit"
 
 
 @pytest.mark.slow
 @pytest.mark.weekly
 def test_sampled_posteriors_of_a_thin_plate_are_calibrated() -> None:
-    own = Experiment(PlateSource("C1", 6), 1.0, None, 1, BRIEF)
-    assert parameter_names(own) == ("E1", "E2", "nu12", "G12", "relative_std")
+    own = Experiment(calibration.PlateSource("C1", 6), 1.0, None, 1, BRIEF)
+    assert calibration.parameter_names(own) == ("E1", "E2", "nu12", "G12", "relative_std")
     with open_executor(None, None) as pool:
         check(calibrate(own, 40, executor=pool))
 
 
-# Sharing out and the store
-
 FASTEST = EnsembleSettings(walkers=8, round_steps=40, r_hat=9.0, effective=1.0, most_steps=40, lengths=0.1)
+FAST = replace(LINEAR, seed=3, settings=FASTEST, swarm=SwarmSettings(particles=6, iterations=5))
 
 
-def fast(seed: int = 3) -> Experiment:
-    return replace(linear(None, seed), settings=FASTEST, swarm=SwarmSettings(particles=6, iterations=5))
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "store.jsonl"
 
 
 @pytest.mark.slow
-def test_repetitions_are_the_same_bit_for_bit_whoever_computes_them(tmp_path: Path) -> None:
-    alone = calibrate(fast(), 7)
+def test_repetitions_are_the_same_bit_for_bit_whoever_computes_them(path: Path) -> None:
+    alone = calibrate(FAST, 7)
     assert [r.number for r in alone] == list(range(7))
     with ThreadPoolExecutor(1) as pool:
-        assert calibrate(fast(), 7, executor=pool, batch_size=3) == alone
-    assert stored_calibration(fast(), 7, tmp_path / "store.jsonl") == alone
-    assert calibrate(fast(4), 2)[0] != alone[0], "another seed, other lists"
+        assert calibrate(FAST, 7, executor=pool, batch_size=3) == alone
+    assert stored_calibration(FAST, 7, path) == alone
+    assert calibrate(replace(FAST, seed=4), 2)[0] != alone[0], "another seed, other lists"
     # a repetition depends on its number alone
-    assert repeat(fast(), 5) == alone[5]
+    assert repeat(FAST, 5) == alone[5]
 
 
 @pytest.mark.parametrize("cut", [1, 60, 400])
-def test_a_killed_run_goes_on_from_its_last_whole_line(
-    tmp_path: Path, cut: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path, lines = tmp_path / "store.jsonl", {}
-    whole = stored_calibration(
-        fast(), 5, path, progress=lambda done: lines.update({done: len(path.read_bytes().splitlines())})
-    )
+def test_a_killed_run_goes_on_from_its_last_whole_line(path: Path, cut: int, monkeypatch) -> None:
+    lines = {}
+
+    def count(done: int) -> None:
+        lines[done] = len(path.read_bytes().splitlines())
+
+    whole = stored_calibration(FAST, 5, path, progress=count)
     assert lines == {n: n + 1 for n in range(1, 6)}, "a repetition has its line as soon as it is there"
     content = path.read_bytes()
     path.write_bytes(content[:-cut])  # the last record and perhaps one before it are torn
     computed = []
     monkeypatch.setattr(calibration, "repeat", lambda own, i: computed.append(i) or repeat(own, i))
-    assert stored_calibration(fast(), 5, path) == whole
+    assert stored_calibration(FAST, 5, path) == whole
     assert 0 < len(computed) < 5
     assert sorted(path.read_bytes().splitlines()) == sorted(content.splitlines())
     computed.clear()
-    assert stored_calibration(fast(), 6, path)[:5] == whole
+    assert stored_calibration(FAST, 6, path)[:5] == whole
     assert computed == [5], "more repetitions of the same experiment join the store"
 
 
-def test_a_store_of_another_experiment_or_other_code_is_refused_and_left_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "store.jsonl"
-    stored_calibration(fast(), 2, path)
+def test_a_store_of_another_experiment_or_other_code_is_refused_and_left_alone(path, monkeypatch) -> None:
+    stored_calibration(FAST, 2, path)
     before = path.read_bytes()
-    own = fast()
-    others = [
-        fast(4),
-        replace(own, relative_std=0.01),
-        replace(own, resolution=1.0),
-        replace(own, settings=replace(FASTEST, walkers=10)),
-        replace(own, source=LinearSource(0.01)),
-    ]
+    others: list[dict[str, Any]] = [{"seed": 4}, {"relative_std": 0.01}, {"resolution": 1.0}]
+    others += [{"settings": replace(FASTEST, walkers=10)}, {"source": LinearSource(0.01)}]
     for other in others:
         with pytest.raises(StoreError, match="holds another problem"):
-            stored_calibration(other, 2, path)
+            stored_calibration(replace(FAST, **other), 2, path)
     monkeypatch.setattr(draw_store, "fingerprint", lambda module: "0123456789ab")
     with pytest.raises(StoreError, match=r"holds another problem \(code, plate"):
-        stored_calibration(own, 2, path)
+        stored_calibration(FAST, 2, path)
     assert path.read_bytes() == before
 
 
 @pytest.mark.parametrize("content", [b"not JSON\nat all\n", b"no line", b"[1, 2]\n", b'{"other": 1}\n'])
-def test_a_file_that_is_no_store_is_refused_and_left_alone(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "store.jsonl"
+def test_a_file_that_is_no_store_is_refused_and_left_alone(path: Path, content: bytes) -> None:
     path.write_bytes(content)
     with pytest.raises(StoreError, match=r"store\.jsonl: is damaged or no store"):
-        stored_calibration(fast(), 1, path)
+        stored_calibration(FAST, 1, path)
     with pytest.raises(StoreError, match="cannot be used"):
-        stored_calibration(fast(), 1, path / "store.jsonl")
+        stored_calibration(FAST, 1, path / "store.jsonl")
     assert path.read_bytes() == content
 
 
-def test_a_store_begun_without_checksums_goes_on_without_them(tmp_path: Path) -> None:
-    path = tmp_path / "store.jsonl"
+def test_a_store_begun_without_checksums_goes_on_without_them(path: Path) -> None:
     path.write_text('{"problem": "a"}\n{"number": 0}\n', encoding="utf-8")
     DrawStore.open(path, "a").append({"number": 1})
     assert DrawStore.open(path, "a").records == ({"number": 0}, {"number": 1})
 
 
 @pytest.mark.parametrize("line", [0, 1, 2])
-def test_a_changed_digit_before_the_end_of_a_store_is_found(tmp_path: Path, line: int) -> None:
-    path = tmp_path / "store.jsonl"
+def test_a_changed_digit_before_the_end_of_a_store_is_found(path: Path, line: int) -> None:
     store = DrawStore.open(path, "0" * 8)
     for i in range(3):
         store.append({"number": i, "value": 12.5})
@@ -288,30 +234,24 @@ def test_a_changed_digit_before_the_end_of_a_store_is_found(tmp_path: Path, line
     assert path.read_bytes() == b"".join(lines)
 
 
-# Randomised credible sets of sequences hold the true one as often as their level says
-
-
 SINGLE, SIZE = np.array([0.3, 0.1, 0.1, 0.05]), np.array([2, 1, 2, 2])
 
 
 def test_the_place_is_the_probability_of_what_comes_before() -> None:
-    assert randomised_place(SINGLE, SIZE, 0, 0.0) == 0.0
-    assert randomised_place(SINGLE, SIZE, 0, 1.0) == pytest.approx(0.6)
     # classes 1 and 2 are equally probable, so they share a place
-    assert randomised_place(SINGLE, SIZE, 1, 0.5) == pytest.approx(0.75)
-    assert randomised_place(SINGLE, SIZE, 2, 0.5) == pytest.approx(0.75)
-    assert randomised_place(SINGLE, SIZE, 3, 1.0) == pytest.approx(1.0)
+    assert sequences.randomised_place(SINGLE, SIZE, 0, 0.0) == 0.0
+    for true, u, place in ((0, 1.0, 0.6), (1, 0.5, 0.75), (2, 0.5, 0.75), (3, 1.0, 1.0)):
+        assert sequences.randomised_place(SINGLE, SIZE, true, u) == pytest.approx(place)
 
 
 @pytest.mark.parametrize(("power", "number", "seed"), [(1, 4000, 0), (3, 300, 1)])
-def test_places_of_draws_from_the_probabilities_are_uniform_and_of_too_sure_ones_do_not_pass(
-    power: int, number: int, seed: int
-) -> None:
+def test_places_of_draws_are_uniform_and_those_of_too_sure_ones_do_not_pass(power, number, seed) -> None:
     rng = np.random.default_rng(seed)
     stated = (SINGLE * SIZE) ** power / np.sum((SINGLE * SIZE) ** power)
     true = rng.choice(4, size=number, p=SINGLE * SIZE)
-    places = [randomised_place(stated / SIZE, SIZE, int(i), rng.uniform()) for i in true]
-    found = summarised(tuple(Trial(i, (0.0,), p, 0.5, 1, 1, 0.0) for i, p in enumerate(places)))
+    places = [sequences.randomised_place(stated / SIZE, SIZE, int(i), rng.uniform()) for i in true]
+    trials = tuple(sequences.Trial(i, (0.0,), p, 0.5, 1, 1, 0.0) for i, p in enumerate(places))
+    found = sequences.summarised(trials)
     assert found.passes == (power == 1)
     assert (found.p_uniform > 0.01) if power == 1 else (found.z < 0.0)
 
@@ -319,29 +259,22 @@ def test_places_of_draws_from_the_probabilities_are_uniform_and_of_too_sure_ones
 @pytest.mark.slow
 @pytest.mark.weekly
 def test_sets_of_simulated_plates_hold_the_true_sequence() -> None:
-    settings = CoverageSettings(library=400, log2_points=7)
-    found = stacking_coverage(specimen(), 24, 0, settings=settings)
+    settings = sequences.CoverageSettings(library=400, log2_points=7)
+    found = sequences.stacking_coverage(specimen(), 24, 0, settings=settings)
     assert [t.number for t in found] == list(range(24))
-    assert summarised(found).passes
+    assert sequences.summarised(found).passes
     # and not because they hold everything: uniform places, half of them in the smaller half
-    assert summarised(found, 0.5).passes
-    assert summarised(found).p_uniform > 0.01
-    np.testing.assert_array_less([t.set_size for t in found], 36)
-    again = stacking_coverage(specimen(), 2, 0, settings=settings)
-    assert again == found[:2]
+    assert sequences.summarised(found, 0.5).passes
+    assert sequences.summarised(found).p_uniform > 0.01
+    assert max(t.set_size for t in found) < 36
+    assert sequences.stacking_coverage(specimen(), 2, 0, settings=settings) == found[:2]
 
 
-# Built-in plates with unknown angles
-
-
-@pytest.mark.parametrize(
-    ("layup", "angles"), [(None, None), ("[(?/?)_8]_s", [0.0, 90.0]), ("[0/?/?/90/(0/90)_6]_s", [90.0, 0.0])]
-)
-def test_a_plate_has_its_own_unknown_angles_or_those_of_a_layup_that_stand_at_their_places(
-    layup: str | None, angles: list[float] | None
-) -> None:
-    found = with_unknown_layup("C1", layup, 30.0)
-    assert found.angle_grid_deg == 30.0
-    assert found.plate.layup.n_unknown == (4 if angles is None else 2)
-    if angles is not None:  # C1 is [(0/90)_8]_s
-        np.testing.assert_array_equal(known_angles(found), angles)
+def test_a_plate_has_its_own_unknown_angles_or_those_of_a_layup_that_stand_at_their_places() -> None:
+    own = sequences.with_unknown_layup("C1", None, 30.0)
+    assert (own.angle_grid_deg, own.plate.layup.n_unknown) == (30.0, 4)
+    # C1 is [(0/90)_8]_s
+    for layup, angles in (("[(?/?)_8]_s", [0.0, 90.0]), ("[0/?/?/90/(0/90)_6]_s", [90.0, 0.0])):
+        found = sequences.with_unknown_layup("C1", layup, 30.0)
+        assert (found.angle_grid_deg, found.plate.layup.n_unknown) == (30.0, 2)
+        np.testing.assert_array_equal(sequences.known_angles(found), angles)

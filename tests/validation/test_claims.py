@@ -24,25 +24,22 @@ from validation.independent.true_plate import FLAWS
 from validation.reporting import save_results, saved_results, with_saved
 
 
-def test_cases_that_were_not_run_again_stay_in_order(tmp_path: Path) -> None:
+def test_saved_results_come_back_and_cases_that_were_not_run_again_stay_in_order(tmp_path: Path) -> None:
     path = tmp_path / "08.json"
     cases = [{"case": "D3", "x": 1}, {"case": "C1", "x": 1}, {"case": "C1", "x": 2}]
     cost = [{"case": "D1", "s": 4}, {"case": "no longer a case", "s": 5}]
     save_results(path, {"seeds": 3, "cases": cases, "cost": cost})
     new = {"seeds": 20, "cases": [{"case": "D1", "x": 7}, {"case": "C1", "x": 8}], "cost": []}
+    kept = [{"case": "C1", "x": 8}, {"case": "D1", "x": 7}, {"case": "D3", "x": 1}]
     both = with_saved(new, path, ("C1", "D1", "D3"))
-    assert both["seeds"] == 20
-    assert both["cases"] == [{"case": "C1", "x": 8}, {"case": "D1", "x": 7}, {"case": "D3", "x": 1}]
-    assert both["cost"] == [{"case": "D1", "s": 4}]
+    assert both == {"seeds": 20, "cases": kept, "cost": [{"case": "D1", "s": 4}]}
     assert new["cases"] == [{"case": "D1", "x": 7}, {"case": "C1", "x": 8}], "left as they are"
     # a case may be named otherwise
     save_results(path, {"groups": [{"plates": ["C1", "C2"]}, {"plates": ["C1"], "p": 1}]})
     groups = {"groups": [{"plates": ["C1"], "p": 2}]}
     both = with_saved(groups, path, [("C1",), ("C1", "C2")], lambda g: tuple(g["plates"]))
     assert both == {"groups": [{"plates": ["C1"], "p": 2}, {"plates": ["C1", "C2"]}]}
-
-
-def test_results_come_back_as_they_were_and_nan_is_refused_before_anything_is_lost(tmp_path: Path) -> None:
+    # results come back as they were, and NaN is refused before anything is lost
     path = tmp_path / "results" / "01.json"
     assert saved_results(path) == {}
     results = {"quick": False, "cases": [{"case": "C1", "rms": 1.5}]}
@@ -53,8 +50,7 @@ def test_results_come_back_as_they_were_and_nan_is_refused_before_anything_is_lo
 
 
 PLATE = lists.PLATES[3]
-DATA = PROJECT / "studies" / "data" / "claims"
-STUDY = script("studies", "15_claims")
+DATA, STUDY = PROJECT / "studies" / "data" / "claims", script("studies", "15_claims")
 
 
 @pytest.fixture(scope="module")
@@ -66,30 +62,23 @@ def test_a_list_is_a_plate_file_that_says_what_the_truth_says(tapered: tuple[str
     # sought on a coarse mesh, measured on the fine one
     assert tapered[1].extra["signal_to_noise"] == pytest.approx(16.0, rel=0.1)
     read = cb.read_plate(tomllib.loads(tapered[0]))
-    measured = np.asarray(read.measurement.frequencies)
     assert read.measurement.relative_std is None
     assert set(read.material.sd) == set(tapered[1].constants)
     # 0.2 % of noise and the rounding to 0.1 Hz
-    np.testing.assert_allclose(measured, tapered[1].true_hz, rtol=0.011)
+    np.testing.assert_allclose(read.measurement.frequencies, tapered[1].true_hz, rtol=0.011)
 
 
 def test_a_weighed_plate_states_what_it_weighs_and_a_wrong_density_is_a_wrong_weight() -> None:
-    own = next(
-        p
-        for p in (drawn.plate(np.random.default_rng(k), lambda plate: True) for k in range(40))
-        if p.weighed and not set(p.plate.edges) - {"F"}
-    )
-    rng = np.random.default_rng(1)
-    text, made = lists.single(own, "thickness", None, rng, size=-0.2)
-    stated = next(float(line.split("=")[1]) for line in text.splitlines() if line.startswith("mass_g"))
-    assert "density" not in text
-    # a thickness of 0.8 with one per cent of gauge, one of density, 0.2 of balance
-    assert stated == pytest.approx(0.8e3 * own.plate.total_mass, rel=0.05)
+    plates = (drawn.plate(np.random.default_rng(k), lambda plate: True) for k in range(40))
+    own = next(p for p in plates if p.weighed and set(p.plate.edges) == {"F"})
+    thin, made = lists.single(own, "thickness", None, np.random.default_rng(1), size=-0.2)
     heavy, _ = lists.single(own, "density", None, np.random.default_rng(1), size=0.3)
     light, _ = lists.listed(own, own.plate, "clean", {}, np.random.default_rng(1))
-    of = [next(ln for ln in t.splitlines() if ln.startswith("mass_g")) for t in (heavy, light)]
-    grams = [float(line.split("=")[1]) for line in of]
-    assert grams[0] == pytest.approx(grams[1], rel=0.06)
+    grams = [tomllib.loads(text)["plate"]["mass_g"] for text in (thin, heavy, light)]
+    assert "density" not in thin
+    # a thickness of 0.8 with one per cent of gauge, one of density, 0.2 of balance
+    assert grams[0] == pytest.approx(0.8e3 * own.plate.total_mass, rel=0.05)
+    assert grams[1] == pytest.approx(grams[2], rel=0.06)
     assert made.causes == ("thickness",)
 
 
@@ -105,16 +94,16 @@ def test_every_cause_that_elements_can_have_is_drawn_and_every_list_has_a_name_o
 
 
 def test_names_of_one_physical_thing_are_few_and_symmetric() -> None:
-    plate = PLATE.plate
-    assert lists.same_thing(PLATE, plate, {"length": (0.01, {})}) == ("clamp_length",)
-    assert lists.same_thing(PLATE, plate, {"clamp_length": (1e-3, {})}) == ("length",)
-    assert lists.same_thing(PLATE, plate, {"clamp_rotation": (0.1, {})}) == ("soft_clamp",)
-    both: dict[str, tuple[float, Any]] = {"clamp_rotation": (0.1, {}), "taper_y": (0.1, {})}
-    assert lists.same_thing(PLATE, plate, both) == ("soft_clamp",)
-    # a free plate has no clamp
-    free = replace(plate, edges="FFFF")
-    assert lists.same_thing(PLATE, free, {"length": (0.01, {})}) == ()
-    assert lists.same_thing(PLATE, plate, {"warp": (1e-3, {})}) == ()
+    clamped, free = PLATE.plate, replace(PLATE.plate, edges="FFFF")
+    for plate, causes, same in (
+        (clamped, ["length"], ("clamp_length",)),
+        (clamped, ["clamp_length"], ("length",)),
+        (clamped, ["clamp_rotation"], ("soft_clamp",)),
+        (clamped, ["clamp_rotation", "taper_y"], ("soft_clamp",)),
+        (clamped, ["warp"], ()),
+        (free, ["length"], ()),  # it has no clamp
+    ):
+        assert lists.same_thing(PLATE, plate, {cause: (0.01, {}) for cause in causes}) == same
 
 
 def truth(*causes: str, accepted: tuple[str, ...] = ()) -> dict[str, Any]:
@@ -150,22 +139,15 @@ def answer(claim: str, *causes: str) -> dict[str, Any]:
         (truth("warp"), {"error": "no"}, scoring.FAILED, False),
     ],
 )
-def test_a_claim_is_counted_as_a_user_reads_it(
-    hidden: dict[str, Any], answered: dict[str, Any], category: str, right: bool
-) -> None:
+def test_a_claim_is_counted_as_a_user_reads_it(hidden, answered, category: str, right: bool) -> None:
     found = scoring.score(hidden, answered)
-    assert found["category"] == category
-    assert found["right"] is right
+    assert (found["category"], found["right"]) == (category, right)
 
 
 def test_saved_results_are_those_of_the_saved_answers() -> None:
     """Scores, figures, intervals, limits, thresholds and all else; pages say what the results say."""
-
-    def rounded(text: str) -> Any:
-        return json.loads(text, parse_float=lambda digits: f"{float(digits):.9g}")
-
-    found = STUDY.run(False)
-    assert rounded(json.dumps(found)) == rounded(json.dumps(saved("15_claims")))
+    rounded = partial(json.loads, parse_float=lambda digits: f"{float(digits):.9g}")
+    assert rounded(json.dumps(STUDY.run(False))) == rounded(json.dumps(saved("15_claims")))
 
 
 def test_states_of_the_code_stand_in_the_order_of_their_answers() -> None:
@@ -181,53 +163,45 @@ DENSE, WEIGHED = FILE.format("density_kg_m3 = 2000"), FILE.format("mass_g = 400"
 
 
 @pytest.mark.parametrize(
-    ("cause", "size", "aux", "limit", "above"),
+    ("cause", "size", "aux", "unit", "above"),
     [
-        ("taper_x", -0.05, {}, [4.9, "%"], True),
-        ("taper_x", -0.05, {}, [5.1, "%"], False),
-        ("taper_x", 0.05, {}, [None, "%"], False),
-        ("warp", 1e-3, {}, [0.99, "mm"], True),
-        ("warp", 1e-3, {}, [1.01, "mm"], False),
-        ("resin_skin", 5e-5, {}, [49.0, "um"], True),
-        ("membrane_stress", -1e6, {}, [1.1, "MPa"], False),
-        ("membrane_stress", -1e6, {}, [0.9, "MPa"], True),
-        ("support", 8.0, {}, [8.0, "Hz"], True),
-        ("misorientation", 2.0, {}, [2.1, "deg"], False),
+        ("taper_x", -0.05, {}, "%", {4.9: True, 5.1: False}),
+        ("taper_x", 0.05, {}, "%", {None: False}),
+        ("warp", 1e-3, {}, "mm", {0.99: True, 1.01: False}),
+        ("resin_skin", 5e-5, {}, "um", {49.0: True}),
+        ("membrane_stress", -1e6, {}, "MPa", {0.9: True, 1.1: False}),
+        ("support", 8.0, {}, "Hz", {8.0: True}),
+        ("misorientation", 2.0, {}, "deg", {2.1: False}),
         # a part of the plate's mass: 200 g, or as weighed 400 g
-        ("sensor_mass", 0.02, {"x": 0.5, "y": 0.5}, [3.9, "g"], True),
-        ("sensor_mass", 0.02, {"x": 0.5, "y": 0.5}, [4.1, "g"], False),
-        ("soft_clamp", 2.0, {"ratio": 1.5}, [0.059, ""], True),
-        ("soft_clamp", 2.0, {"ratio": 1.5}, [0.061, ""], False),
-        ("outline", 0.1, {"form": "rectangle", "ratio": 2.0}, [0.99, "% of the area"], True),
-        ("outline", 0.1, {"form": "rectangle", "ratio": 2.0}, [1.01, "% of the area"], False),
-        ("outline", 0.1, {"form": "ellipse", "ratio": 1.0}, [0.1, "% of the area"], None),
+        ("sensor_mass", 0.02, {"x": 0.5, "y": 0.5}, "g", {3.9: True, 4.1: False}),
+        ("soft_clamp", 2.0, {"ratio": 1.5}, "", {0.059: True, 0.061: False}),
+        ("outline", 0.1, {"form": "rectangle", "ratio": 2.0}, "% of the area", {0.99: True, 1.01: False}),
+        ("outline", 0.1, {"form": "ellipse", "ratio": 1.0}, "% of the area", {0.1: None}),
     ],
 )
-def test_a_hidden_size_is_held_against_the_limit_that_is_stated_for_it(
-    cause: str, size: float, aux: dict[str, Any], limit: list[Any], above: bool | None
-) -> None:
+def test_a_hidden_size_is_held_against_the_limits_that_are_stated_for_it(cause, size, aux, unit, above):
     hidden = truth(cause) | {"sizes": {cause: size}, "aux": {cause: aux} if aux else {}}
-    said = {"detectable": {cause: limit, "skew": [0.0, "deg"]}}
-    assert scoring.above_limit({"file": DENSE, "truth": hidden}, said) is above
+    for limit, expected in above.items():
+        said = {"detectable": {cause: [limit, unit], "skew": [0.0, "deg"]}}
+        assert scoring.above_limit({"file": DENSE, "truth": hidden}, said) is expected, limit
     if cause == "sensor_mass":
         assert scoring.hidden_size({"file": WEIGHED, "truth": hidden}) == pytest.approx(8e-3)
 
 
 def test_a_misread_frequency_has_a_size_and_what_has_none_or_no_limit_is_not_counted() -> None:
     misread = {"file": DENSE, "truth": truth("outlier") | {"extra": {"shift_percent": -3.0}}}
-    assert scoring.above_limit(misread, {"detectable": {"outlier": [2.9, "%"]}}) is True
-    assert scoring.above_limit(misread, {"detectable": {"outlier": [3.1, "%"]}}) is False
+    for limit, above in ((2.9, True), (3.1, False)):
+        assert scoring.above_limit(misread, {"detectable": {"outlier": [limit, "%"]}}) is above
     for hidden in (truth(), truth("other"), truth("mode_identity"), truth("warp", "skew")):
         entry = {"file": DENSE, "truth": hidden | {"sizes": {"warp": 1.0, "skew": 5.0}}}
         assert scoring.above_limit(entry, {"detectable": {c: [0.1, "mm"] for c in ("warp", "other")}}) is None
     tested = {"file": DENSE, "truth": truth("warp") | {"sizes": {"warp": 1.0}}}
-    assert scoring.above_limit(tested, {"detectable": {"skew": [0.1, "deg"]}}) is None
-    assert scoring.above_limit(tested, {"error": "no"}) is None
+    for said in ({"detectable": {"skew": [0.1, "deg"]}}, {"error": "no"}):
+        assert scoring.above_limit(tested, said) is None
 
 
 def test_what_is_answered_is_not_asked_again(tmp_path: Path) -> None:
-    entry = {"id": "a", "file": "", "truth": {"plate": "T1"}}
-    calls = []
+    entry, calls = {"id": "a", "file": "", "truth": {"plate": "T1"}}, []
 
     def diagnose(path: Path) -> dict[str, Any]:
         calls.append(path)
@@ -237,8 +211,8 @@ def test_what_is_answered_is_not_asked_again(tmp_path: Path) -> None:
     for _ in range(2):
         answering.answer([entry], path, diagnose, provenance={"commit": "c0ffee"})
     assert len(calls) == 1
-    assert answering.answered(path)["a"]["error"] == "ValueError: no such plate"
-    assert answering.answered(path)["a"]["commit"] == "c0ffee"
+    kept = {"error": "ValueError: no such plate", "commit": "c0ffee"}
+    assert answering.answered(path)["a"].items() >= kept.items()
     path.write_text(2 * path.read_text("utf-8"), "utf-8")
     with pytest.raises(ValueError, match="a second answer to a"):
         answering.answered(path)
@@ -271,9 +245,7 @@ def test_a_set_is_sealed_once_of_committed_code_and_its_lists_stay_what_they_are
             hold(of_seal, made)
 
 
-def test_an_answer_is_of_todays_code_only_if_it_was_given_by_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_answer_is_of_todays_code_only_if_it_was_given_by_it(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(fingerprints, "LEDGER", tmp_path / "fingerprints.json")
     monkeypatch.setattr(seal, "provenance", lambda tree: {"commit": "c0ffee"})
     own = STUDY._provenance(STUDY.HERE.parent)
@@ -294,43 +266,19 @@ def saved_lists(name: str) -> dict[str, dict[str, Any]]:
     return {record["id"]: record for record in map(json.loads, lines)}
 
 
-@pytest.mark.parametrize(
-    ("of", "name"),
-    [
-        ("sealed", "clean-06"),
-        ("sealed", "prior-61-frequency_scale"),
-        ("development", "two-01"),
-        ("development", "list-12"),
-        ("development", "strength-clamp_length-8"),
-        ("development", "former-both-tapers-3"),
-        ("development", "former-two-accelerometers-0"),
-        ("development", "former-four-pads-0"),
-        ("development", "beyond-cable-0"),
-        ("development", "beyond-drifting-plies-0"),
-    ],
+SEALED = ("clean-06", "prior-61-frequency_scale")
+DEVELOPMENT = (
+    *("two-01", "list-12", "strength-clamp_length-8", "former-both-tapers-3", "former-two-accelerometers-0"),
+    *("former-four-pads-0", "beyond-cable-0", "beyond-drifting-plies-0"),
 )
-def test_saved_lists_are_those_that_their_seeds_and_names_make(of: str, name: str) -> None:
+
+
+@pytest.mark.parametrize("name", [*SEALED, *DEVELOPMENT])
+def test_saved_lists_are_those_that_their_seeds_and_names_make(name: str) -> None:
+    of = "sealed" if name in SEALED else "development"
     seed = {"development": 5150, "sealed": json.loads((DATA / "seal.json").read_text("utf-8"))["seed"]}[of]
     assert list(saved_lists(of)) == sets.ordered(seed)
     assert json.loads(sets.line_of(sets.made(seed, name))) == saved_lists(of)[name]
-
-
-# What users do instead
-
-
-@pytest.fixture(scope="module")
-def signatures() -> references.Dictionary:
-    return references.dictionary_of(PLATE, ("taper_x", "warp", "membrane_stress"))
-
-
-def test_simpler_methods_name_a_cause_or_none(
-    signatures: references.Dictionary, tapered: tuple[str, lists.Truth]
-) -> None:
-    entry = json.loads(json.dumps({"file": tapered[0], "truth": asdict(tapered[1])}))
-    found = references.answers(signatures, entry)
-    assert set(found) == set(references.METHODS)
-    assert found["likelihood_ratio"]["causes"] == ["taper_x"]
-    assert all(record["statistic"] > 0.0 for record in found.values())
 
 
 # Eight modes and three causes: with a size alone, at a place (three parameters), a misread frequency.
@@ -342,27 +290,20 @@ SEEN = references.Whitened(
 )
 
 
-def test_a_statistic_is_how_much_better_a_method_is_than_nothing() -> None:
+def test_a_statistic_is_how_much_better_than_nothing_a_method_is_for_its_number_of_parameters() -> None:
     left = (10.0 - 9.0) ** 2 + 2.0**2
     assert references._largest_residual(SEEN) == (["taper_x"], 9.0)
     assert references._criterion(SEEN) == (["taper_x"], pytest.approx(85.0 - left - np.log(8.0)))
     margin = pytest.approx((85.0 - left) / 3.8415, rel=1e-4)
     assert references._likelihood_ratio(SEEN) == (["taper_x"], margin)
     assert references._matching_pursuit(SEEN) == (["outlier"], pytest.approx(81.0))
-
-
-def test_more_parameters_cost_more() -> None:
-    # all three explain the residual alike: 1, 3 and 2 parameters
-    alike = {"damage": 9 * FIRST, "outlier": 9 * FIRST, "taper_x": 9 * FIRST}
-    for causes, free, five_percent in (
-        (["damage", "outlier", "taper_x"], 1, 7.8147),
-        (["damage", "outlier"], 2, 7.8147),
-        (["damage"], 3, 7.8147),
-    ):
-        seen = replace(SEEN, atoms={c: alike[c] for c in causes})
-        assert references._criterion(seen) == (causes[-1:], pytest.approx(81.0 - free * np.log(8.0)))
+    # more parameters cost more: all three explain the residual alike: 1, 3 and 2 parameters
+    alike = ("damage", "outlier", "taper_x")
+    for causes, free in ((alike, 1), (alike[:2], 2), (alike[:1], 3)):
+        seen = replace(SEEN, atoms=dict.fromkeys(causes, 9 * FIRST))
+        assert references._criterion(seen) == ([causes[-1]], pytest.approx(81.0 - free * np.log(8.0)))
         # the first of those of one likelihood
-        assert references._likelihood_ratio(seen)[1] == pytest.approx(81.0 / five_percent, rel=1e-4)
+        assert references._likelihood_ratio(seen)[1] == pytest.approx(81.0 / 7.8147, rel=1e-4)
 
 
 def test_a_second_cause_is_named_where_it_explains_half_of_what_the_first_does() -> None:
@@ -373,39 +314,41 @@ def test_a_second_cause_is_named_where_it_explains_half_of_what_the_first_does()
         assert references._matching_pursuit(seen) == (causes, pytest.approx(gained))
 
 
-def test_simple_methods_know_a_misread_frequency_and_a_missed_mode(signatures: references.Dictionary) -> None:
-    rng = np.random.default_rng(4)
-    for text, made in (
-        lists.misread(PLATE, 40.0, rng),
-        lists.listed(PLATE, PLATE.drawn(rng), "one", {}, rng, missed=[0], causes=("mode_identity",)),
-    ):
+def test_simple_methods_know_a_taper_a_misread_frequency_and_a_missed_mode(tapered) -> None:
+    signatures, rng = (
+        references.dictionary_of(PLATE, ("taper_x", "warp", "membrane_stress")),
+        np.random.default_rng(4),
+    )
+    misread = lists.misread(PLATE, 40.0, rng)
+    missed = lists.listed(PLATE, PLATE.drawn(rng), "one", {}, rng, missed=[0], causes=("mode_identity",))
+    for (text, made), method in ((tapered, "likelihood_ratio"), (misread, "BIC"), (missed, "BIC")):
         entry = json.loads(json.dumps({"file": text, "truth": asdict(made)}))
         found = references.answers(signatures, entry)
-        assert found["BIC"]["causes"] == list(made.causes)
+        assert set(found) == set(references.METHODS)
+        assert found[method]["causes"] == list(made.causes)
+        assert all(record["statistic"] > 0.0 for record in found.values())
+
+
+# Statistics of right answers and of wrong ones.
+SCORED = ((9.0, 7.0, 6.0, 4.0), (8.0, 5.0, 3.0, 2.0))
 
 
 @pytest.mark.parametrize(
     ("right", "wrong", "rate", "least", "claimed"),
     [
-        ((9.0, 7.0, 6.0, 4.0), (8.0, 5.0, 3.0, 2.0), (0, 5), 9.0, (1, 0)),
-        ((9.0, 7.0, 6.0, 4.0), (8.0, 5.0, 3.0, 2.0), (1, 9), 9.0, (1, 0)),
-        ((9.0, 7.0, 6.0, 4.0), (8.0, 5.0, 3.0, 2.0), (1, 8), 6.0, (3, 1)),
-        ((9.0, 7.0, 6.0, 4.0), (8.0, 5.0, 3.0, 2.0), (1, 5), 6.0, (3, 1)),
-        ((9.0, 7.0, 6.0, 4.0), (8.0, 5.0, 3.0, 2.0), (2, 8), 4.0, (4, 2)),
-        ((9.0, 7.0, 6.0, 4.0), (8.0, 5.0, 3.0, 2.0), (1, 1), 2.0, (4, 4)),
+        (*SCORED, (0, 5), 9.0, (1, 0)),
+        (*SCORED, (1, 9), 9.0, (1, 0)),
+        (*SCORED, (1, 8), 6.0, (3, 1)),
+        (*SCORED, (1, 5), 6.0, (3, 1)),
+        (*SCORED, (2, 8), 4.0, (4, 2)),
+        (*SCORED, (1, 1), 2.0, (4, 4)),
         # lists of one statistic are claimed together
         ((8.0, 7.0), (7.0,), (0, 3), 8.0, (1, 0)),
         # the surest claim is wrong too often
         ((8.0,), (9.0,), (0, 2), None, (0, 0)),
     ],
 )
-def test_a_threshold_is_the_least_that_keeps_the_rate_of_wrong_claims(
-    right: tuple[float, ...],
-    wrong: tuple[float, ...],
-    rate: tuple[int, int],
-    least: float | None,
-    claimed: tuple[int, int],
-) -> None:
+def test_a_threshold_is_the_least_that_keeps_the_rate_of_wrong_claims(right, wrong, rate, least, claimed):
     statistics = {str(k): s for k, s in enumerate((*wrong, *right))}
     of = [scoring.WRONG] * len(wrong) + [scoring.RIGHT] * len(right)
     records = [{"id": k, "category": c} for k, c in zip(statistics, of, strict=True)]
@@ -417,15 +360,12 @@ def test_a_threshold_is_the_least_that_keeps_the_rate_of_wrong_claims(
 def test_a_method_claims_from_its_threshold_on() -> None:
     said = {name: answer("named", "warp") | {"statistic": s} for name, s in (("a", 2.0), ("b", 1.9))}
     found = references.abstaining(said, 2.0)
-    assert found["a"] == said["a"]
-    assert (found["b"]["claim"], found["b"]["causes"]) == ("none", [])
+    assert (found["a"], found["b"]["claim"], found["b"]["causes"]) == (said["a"], "none", [])
     assert said["b"]["claim"] == "named"
     assert references.abstaining(said, None)["a"]["claim"] == "none"
 
 
-def test_simple_methods_answer_first_what_the_diagnosis_answered_and_nothing_twice(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_simple_methods_answer_first_what_was_diagnosed_and_nothing_twice(tmp_path, monkeypatch) -> None:
     names = ["clean-00", "clean-01", "clean-02", "clean-03"]
     (tmp_path / "answers").mkdir()
     lines = [{"id": name, "plate": 0, "file": DENSE, "truth": truth()} for name in names]
@@ -449,18 +389,11 @@ def test_simple_methods_answer_first_what_the_diagnosis_answered_and_nothing_twi
     assert set(kept) == set(names)
 
 
-# A method of one's own, which is scored with one command that writes nothing of ours
-
-
 LISTS = {r["id"]: r for r in answering.asked(DATA / "sealed.jsonl")}
 OURS = answering.answered(DATA / "answers" / "sealed_diagnosis.jsonl")
 # Kept by the project: what a score may not change.
-KEPT = (
-    *(PROJECT / "studies" / "results").iterdir(),
-    *(PROJECT / "docs").glob("*.md"),
-    *(DATA / "answers").iterdir(),
-    PROJECT / "README.md",
-)
+RESULTS, PAGES = (PROJECT / "studies" / "results").iterdir(), (PROJECT / "docs").glob("*.md")
+KEPT = (*RESULTS, *PAGES, *(DATA / "answers").iterdir(), PROJECT / "README.md")
 ANSWERED = [name for name in OURS if LISTS[name]["truth"]["causes"]][:3]
 
 
@@ -476,10 +409,13 @@ def written(folder: Path, *lines: Any) -> Path:
     return path
 
 
+@cache
+def document() -> dict[str, Any]:
+    return json.loads(json_text(diagnosis_result(misread(), 3).to_dict()))
+
+
 def test_the_document_of_the_command_is_scored_as_our_own_answers_are() -> None:
-    document = json.loads(json_text(diagnosis_result(misread(), 3).to_dict()))
-    ours = answering.reduced(document)
-    mine = own_method.answer_of(document | {"id": "any"})
+    ours, mine = answering.reduced(document()), own_method.answer_of(document() | {"id": "any"})
     for key in ("claim", "causes", "probability", "detectable"):
         assert mine[key] == ours[key], key
     for key in ("constants", "baseline"):
@@ -487,21 +423,17 @@ def test_the_document_of_the_command_is_scored_as_our_own_answers_are() -> None:
     assert mine["detectable"]["outlier"][1] == "%"
 
 
-def test_one_command_prints_the_scores_beside_ours_and_writes_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_command_prints_the_scores_beside_ours_and_writes_nothing(tmp_path: Path, capsys) -> None:
     before = {path: path.read_bytes() for path in KEPT if path.is_file()}
-    document = json.loads(json_text(diagnosis_result(misread(), 3).to_dict()))
     lines = [told(ANSWERED[0]), {"id": ANSWERED[1], "claim": "none", "causes": []}]
-    lines.append(document | {"id": ANSWERED[2]})
+    lines.append(document() | {"id": ANSWERED[2]})
     STUDY.main(["--score", str(written(tmp_path, *lines))])
     said = capsys.readouterr().out.splitlines()
     assert said[0] == "|  | diagnosis | mine |"
     rows = {cells[0]: cells[1:] for cells in ([c.strip() for c in row.split("|")[1:-1]] for row in said[2:])}
     assert rows["lists"] == ["3", "3"]
     ours = [scoring.score(LISTS[name]["truth"], OURS[name])["category"] for name in ANSWERED]
-    for category in scoring.CATEGORIES:
-        assert rows[category][0] == str(ours.count(category)), category
+    assert [rows[c][0] for c in scoring.CATEGORIES] == [str(ours.count(c)) for c in scoring.CATEGORIES]
     assert int(rows[scoring.RIGHT][1]) >= 1
     assert int(rows[scoring.MISSED][1]) == 1
     assert {path: path.read_bytes() for path in before} == before
@@ -545,9 +477,7 @@ def test_without_probabilities_and_constants_only_claims_are_scored(tmp_path: Pa
         ({"detectable": [{"cause": "warp", "smallest": 1.0, "unit": "inch"}]}, "of warp: 1.0 'inch'"),
     ],
 )
-def test_what_cannot_be_scored_is_refused_with_its_line(
-    line: Any, why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_cannot_be_scored_is_refused_with_its_line(line, why: str, tmp_path: Path, capsys) -> None:
     second = told(ANSWERED[1]) | line if isinstance(line, dict) else line
     path = written(tmp_path, told(ANSWERED[0]), second)
     for file, words in ((path, ("mine.jsonl, line 2: ", why)), (tmp_path / "none.jsonl", ("none.jsonl",))):

@@ -1,6 +1,5 @@
 """Whatever is written into a file or a layup: a record or one clear refusal, no traceback, no warning."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,24 +18,12 @@ from cpam_bayes.plate.modes_of_hits import modes_of
 from cpam_bayes.plate.modes_table import read_modes_table
 from cpam_bayes.storage import read_arrays, write_arrays
 from tests.effort import calls
+from validation.hostile import measurements
 from validation.hostile.files import DAMAGES, LARGE_FILES, layups, plate_texts
-from validation.hostile.measurements import (
-    LARGE_TABLES,
-    LARGE_UNIVERSAL_FILES,
-    mode_tables,
-    recordings,
-    response_tables,
-    universal_modes_files,
-    universal_response_files,
-)
 
-BOUNDED = settings(
-    max_examples=200,
-    deadline=None,
-    derandomize=True,
-    database=None,
-    suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
-)
+OFF = [HealthCheck.too_slow, HealthCheck.filter_too_much]
+UNTIMED = settings(deadline=None, derandomize=True, database=None, suppress_health_check=OFF)
+BOUNDED = settings(UNTIMED, max_examples=200)
 # Functions called for each byte of a file: the parser of the standard library takes about 10.
 CALLS_A_BYTE = 60
 
@@ -69,23 +56,21 @@ def test_a_layup_is_read_or_refused_with_the_place(text: str) -> None:
         layup, refusal = parse_layup(text), None
     except LayupError as error:
         layup, refusal = None, error
-    if refusal is not None:
+    if layup is None:
         assert 0 <= refusal.position <= len(text)
         assert all(line.isprintable() for line in str(refusal).splitlines())
-    if layup is not None:
-        assert 1 <= layup.n_plies <= MAX_PLIES
-    if layup is not None and not layup.n_unknown:
+        return
+    assert 1 <= layup.n_plies <= MAX_PLIES
+    if not layup.n_unknown:
         again = parse_layup(format_angles(layup.angles_deg.tolist()))
         np.testing.assert_array_equal(again.angles_deg, layup.angles_deg)
 
 
 @BOUNDED
-@given(mode_tables())
+@given(measurements.mode_tables())
 def test_a_table_of_modes_is_read_or_refused_in_short_printable_lines(text: str) -> None:
     rows, problems = read_modes_table(text)
-    modes = None
-    if rows is not None:
-        modes, problems = modes_of(rows, complete=True)
+    modes, problems = (None, problems) if rows is None else modes_of(rows, complete=True)
     assert (modes is None) == bool(problems)
     for problem in problems:
         assert all(map(is_short_and_printable, str(problem).splitlines()))
@@ -108,11 +93,8 @@ def test_a_file_as_large_as_allowed_is_refused_with_an_effort_in_proportion(name
 
 
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_no_damaged_file_is_accepted_and_none_raises(
-    tmp_path: Path, damage: Callable[[bytes, np.random.Generator], bytes], caplog: pytest.LogCaptureFixture
-) -> None:
-    rng = np.random.default_rng(22)
-    path = tmp_path / "model.arrays"
+def test_no_damaged_file_is_accepted_and_none_raises(tmp_path: Path, damage, caplog) -> None:
+    rng, path = np.random.default_rng(22), tmp_path / "model.arrays"
     write_arrays(path, {"stack": np.arange(60.0).reshape(3, 4, 5), "name": np.array("a text")})
     whole = path.read_bytes()
     for _ in range(200):
@@ -127,15 +109,8 @@ def test_no_damaged_file_is_accepted_and_none_raises(
         assert (tmp_path / "model.arrays.damaged").read_bytes() == content
 
 
-FEWER = settings(
-    BOUNDED,
-    max_examples=100,
-    suppress_health_check=[
-        *BOUNDED.suppress_health_check,
-        HealthCheck.function_scoped_fixture,
-        HealthCheck.data_too_large,
-    ],
-)
+OFF_TOO = [*OFF, HealthCheck.function_scoped_fixture, HealthCheck.data_too_large]
+FEWER = settings(BOUNDED, max_examples=100, suppress_health_check=OFF_TOO)
 LENGTH, WIDTH = 0.2, 0.1
 OF_HITS: dict[str, Any] = {"force": 1, "response": (2,), "window": "exponential"}
 
@@ -148,15 +123,19 @@ def poles_of(path: Path, content: bytes) -> str:
         result = cb.poles(path, order=10, **options)
     except ModalTestError as refusal:
         return str(refusal)
-    assert all(
-        np.isfinite([one.frequency, one.sd, one.damping, one.damping_sd]).all() for one in result.modes
-    )
-    assert all(one.frequency > 0.0 and one.damping > 0.0 for one in result.modes)
+    for one in result.modes:
+        assert np.isfinite([one.frequency, one.sd, one.damping, one.damping_sd]).all()
+        assert min(one.frequency, one.damping) > 0.0
     return ""
 
 
+UNIVERSAL = measurements.universal_response_files().map(lambda content: (".unv", content))
+TABLES = measurements.response_tables().map(lambda text: (".csv", text.encode()))
+RECORDINGS = measurements.recordings().map(lambda content: (".wav", content))
+
+
 @FEWER
-@given(universal_modes_files())
+@given(measurements.universal_modes_files())
 def test_modes_of_a_universal_file_are_read_or_refused(content: bytes) -> None:
     found, said = None, ""
     try:
@@ -174,9 +153,7 @@ def test_modes_of_a_universal_file_are_read_or_refused(content: bytes) -> None:
 
 
 @FEWER
-@given(content=st.one_of(universal_response_files().map(lambda c: (".unv", c)),
-                         response_tables().map(lambda text: (".csv", text.encode())),
-                         recordings().map(lambda c: (".wav", c))))  # fmt: skip
+@given(content=st.one_of(UNIVERSAL, TABLES, RECORDINGS))
 def test_responses_and_records_have_poles_or_are_refused(tmp_path: Path, content: tuple[str, bytes]) -> None:
     ending, written = content
     said = poles_of(tmp_path / f"tap{ending}", written)
@@ -186,13 +163,14 @@ def test_responses_and_records_have_poles_or_are_refused(tmp_path: Path, content
 # Functions called for each kB of a file, where reading short lines of universal files takes some 200, and for
 # each row of a table, where splitting it into cells takes some 30.
 CALLS_A_KB, CALLS_A_ROW = 1000, 50
+LARGE_MEASUREMENTS = {**measurements.LARGE_UNIVERSAL_FILES, **measurements.LARGE_TABLES}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*LARGE_UNIVERSAL_FILES, *LARGE_TABLES])
+@pytest.mark.parametrize("name", LARGE_MEASUREMENTS)
 def test_a_large_file_of_measurements_takes_an_effort_in_proportion(tmp_path: Path, name: str) -> None:
-    is_table = name in LARGE_TABLES
-    content = {**LARGE_UNIVERSAL_FILES, **LARGE_TABLES}[name](MAX_UNIVERSAL_BYTES // 10)
+    is_table = name in measurements.LARGE_TABLES
+    content = LARGE_MEASUREMENTS[name](MAX_UNIVERSAL_BYTES // 10)
     most = CALLS_A_KB * len(content) // 1000 + (CALLS_A_ROW * content.count(b"\n") if is_table else 0)
     with calls() as made:
         poles_of(tmp_path / ("tap.csv" if is_table else "tap.unv"), content)

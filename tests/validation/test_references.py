@@ -12,20 +12,8 @@ from cpam_bayes.diagnosis.evidence.scan import Scan, Trial
 from cpam_bayes.diagnosis.hypotheses import Hypothesis
 from cpam_bayes.inference.log_density import CorrelatedDensity
 from cpam_bayes.plate import Measurement, builtin
-from tests.diagnosis.toy_plates import (
-    BUMP,
-    F0,
-    NOISE,
-    A,
-    a_list,
-    case,
-    cause,
-    exact_log_evidence,
-    hypothesis,
-    straight,
-    whole_normal,
-)
-from tests.diagnosis.toy_plates import SCATTER as NOISE_DRAWN
+from tests.diagnosis import toy_plates
+from tests.diagnosis.toy_plates import BUMP, NOISE
 from validation.evidence_reference import ReferenceSettings, reference_evidence
 from validation.nested import Lockstep, nested_of_density
 
@@ -72,10 +60,12 @@ def test_a_task_or_a_likelihood_that_fails_fails_the_whole_and_hangs_nothing() -
 
 def bent_plate(size: float, sd: float = 0.02) -> tuple[CorrelatedDensity, float]:
     """The toy plate with a bump of a size in its list and its prior: its density and exact log evidence."""
-    f = F0 * (1.0 + A @ np.array([0.03, -0.04]) + size * BUMP) * (1.0 + NOISE * NOISE_DRAWN)
-    bent = cause("bent", whole_normal(sd))
-    comparison = comparison_of([case(a_list(f, NOISE), [(bent, straight(BUMP))])], hypothesis(bent, 0.1))
-    return comparison, exact_log_evidence(f, NOISE * f, (BUMP, sd))
+    shifted = 1.0 + toy_plates.A @ np.array([0.03, -0.04]) + size * BUMP
+    f = toy_plates.F0 * shifted * (1.0 + NOISE * toy_plates.SCATTER)
+    bent = toy_plates.cause("bent", toy_plates.whole_normal(sd))
+    case = toy_plates.case(toy_plates.a_list(f, NOISE), [(bent, toy_plates.straight(BUMP))])
+    comparison = comparison_of([case], toy_plates.hypothesis(bent, 0.1))
+    return comparison, toy_plates.exact_log_evidence(f, NOISE * f, (BUMP, sd))
 
 
 @pytest.mark.slow
@@ -106,8 +96,7 @@ def test_the_quick_way_agrees_with_the_reference_on_a_plate(hidden: str) -> None
     plate = plate_case(replace(builtin("C1"), measurement=waiting))
     known = {h.cause: h for h, _ in hypotheses_of([plate])}
     chosen: list[Hypothesis] = [known[name] for name in dict.fromkeys(("none", hidden, "thickness"))]
-    truth = comparison_of([plate], known[hidden])
-    rng = np.random.default_rng(3)
+    truth, rng = comparison_of([plate], known[hidden]), np.random.default_rng(3)
     x = truth.scores.to_x(rng.standard_normal((1, truth.parameters.size)))
     f = truth.predict(x)[0][0] * (1.0 + 0.002 * rng.standard_normal(10))
     plate = replace(plate, measurement=replace(waiting, frequencies=np.sort(f)))
