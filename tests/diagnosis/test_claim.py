@@ -5,26 +5,23 @@ The numbers of the rules stand in these lists again and are not imported: a chan
 
 import tomllib
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from cpam_bayes.diagnosis.diagnose import claim_from
 from cpam_bayes.diagnosis.evidence import marginal
 from cpam_bayes.diagnosis.evidence.weighing import Weighed, with_factors
-from cpam_bayes.diagnosis.hypotheses import OTHER, Claim, Hypothesis, beside, inclusion_of, prior_by_cause
+from cpam_bayes.diagnosis.hypotheses import OTHER, Hypothesis, beside, inclusion_of, prior_by_cause
 
 FROZEN = tomllib.loads((Path(__file__).parent / "frozen_claims.toml").read_text("utf-8"))
-LISTS = FROZEN["list"]
+LISTS = {listed["name"]: listed for listed in FROZEN["list"]}
 
 
-def rows_of(listed: dict[str, Any]) -> list[tuple[str, str, list[float]]]:
+def rows_of(listed):
     """Causes, variant and the numbers of every hypothesis."""
-    written = [
-        [cell.strip() for cell in line.split("|")] for line in listed["evidences"].strip().splitlines()
-    ]
-    named = {tuple(cells[:2]) for cells in written}
-    rows = []
+    lines = listed["evidences"].strip().splitlines()
+    written = [[cell.strip() for cell in line.split("|")] for line in lines]
+    named, rows = {tuple(cells[:2]) for cells in written}, []
     for causes, variant, *numbers in written:
         if causes == "each other cause":
             every = [(name, "") for name in FROZEN["causes"] if name not in {cause for cause, _ in named}]
@@ -39,15 +36,14 @@ def rows_of(listed: dict[str, Any]) -> list[tuple[str, str, list[float]]]:
     return rows
 
 
-def with_evidence(causes: str, variant: str, prior: float, log_evidence: float) -> marginal.Tested:
+def with_evidence(causes, variant, prior, log_evidence):
     length = 0.0 if causes == OTHER or "with a leftover" in variant else None
     of = Hypothesis(causes, causes, variant, prior=prior, correlation_length=length)
-    unused: Any = None
     # only differences count: e^800 is no number
-    return marginal.Tested(of, (0,), marginal.Marginal(unused, (), 800.0 + log_evidence, *(unused,) * 6))
+    return marginal.Tested(of, (0,), marginal.Marginal(None, (), 800.0 + log_evidence, *(None,) * 6))
 
 
-def claim_and_weights(listed: dict[str, Any], unaccounted: float = 0.0) -> tuple[Claim, Weighed]:
+def claim_and_weights(listed, unaccounted=0.0):
     rows = rows_of(listed)
     order = marginal.ranked([with_evidence(causes, variant, *n[:2]) for causes, variant, n in rows])
     prior = prior_by_cause([t.hypothesis for t in order])
@@ -56,8 +52,8 @@ def claim_and_weights(listed: dict[str, Any], unaccounted: float = 0.0) -> tuple
     return claim_from(weighed, lambda t: p_value[t.key[:2]], lambda t: misfit[t.key[:2]]), weighed
 
 
-@pytest.mark.parametrize("listed", LISTS, ids=lambda listed: listed["name"])
-def test_the_claim_is_the_one_that_was_derived_by_hand(listed: dict[str, Any]) -> None:
+@pytest.mark.parametrize("listed", LISTS.values(), ids=LISTS)
+def test_the_claim_is_the_one_that_was_derived_by_hand(listed):
     found, weighed = claim_and_weights(listed)
     assert (found.kind, found.causes) == (listed["claim"], tuple(listed["causes"]))
     assert found.probability == pytest.approx(listed["probability"], abs=5e-4)
@@ -76,8 +72,5 @@ def test_the_claim_is_the_one_that_was_derived_by_hand(listed: dict[str, Any]) -
         ("other from 0.9 on", 0.2, "undecided"),
     ],
 )
-def test_nothing_is_claimed_that_sets_not_weighed_could_overturn(
-    name: str, unaccounted: float, claim: str
-) -> None:
-    listed = next(each for each in LISTS if each["name"] == name)
-    assert claim_and_weights(listed, unaccounted)[0].kind == claim
+def test_nothing_is_claimed_that_sets_not_weighed_could_overturn(name, unaccounted, claim):
+    assert claim_and_weights(LISTS[name], unaccounted)[0].kind == claim

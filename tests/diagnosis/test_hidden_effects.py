@@ -5,11 +5,7 @@ constants imitate cannot be claimed: then nothing may be, and the answer says th
 shown it. Pairs of causes, most of the work, are weighed for a cause of each plate and for clean ones.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +13,6 @@ import pytest
 
 import cpam_bayes as cb
 from cpam_bayes.diagnosis.cases import hypotheses_of, plate_case
-from cpam_bayes.diagnosis.comparison import PlateCase
 from cpam_bayes.diagnosis.diagnose import diagnose_cases
 from cpam_bayes.effects import CATALOGUE
 from cpam_bayes.effects.geometry import THICKNESS
@@ -32,34 +27,25 @@ from tests.diagnosed import diagnosed
 from tests.hybrids import HYBRID
 from tests.plate_file import PLATE
 from validation.independent import lists
-from validation.independent.lists import NominalPlate, Truth
-from validation.independent.true_plate import FLAWS, Array, Aux, TruePlate
+from validation.independent.lists import NominalPlate
+from validation.independent.true_plate import FLAWS, Aux, TruePlate
+
+
+def _plate(length, width, thickness, edges="FFFF"):
+    return TruePlate(length, width, thickness, 2700, edges, (0.0,), {"E1": 70e9, "nu12": 0.33})
+
 
 _HALF = (0.0, 90.0) * 4
-_METAL = {"E1": 70e9, "nu12": 0.33}
 _CARBON = {"E1": 125e9, "E2": 9.0e9, "nu12": 0.30, "G12": 5.2e9}
 _OTHER_CARBON = {"E1": 0.55 * _CARBON["E1"], "E2": 1.6 * _CARBON["E2"]}
-FREE = NominalPlate(
-    "free", TruePlate(0.271, 0.193, 2.1e-3, 2700, "FFFF", (0.0,), _METAL), "[0]", "aluminium", True, 10
-)
-CLAMPED = NominalPlate(
-    "clamped", TruePlate(0.261, 0.143, 2.2e-3, 2700, "CFFF", (0.0,), _METAL), "[0]", "aluminium", True, 10
-)
+FREE = NominalPlate("free", _plate(0.271, 0.193, 2.1e-3), "[0]", "aluminium", True, 10)
+CLAMPED = NominalPlate("clamped", _plate(0.261, 0.143, 2.2e-3, "CFFF"), "[0]", "aluminium", True, 10)
 # thick, so that the transverse shear shows
-THICK = NominalPlate(
-    "thick",
-    TruePlate(0.203, 0.151, 5.3e-3, 1580, "FFFF", (*_HALF, *_HALF[::-1]), _CARBON),
-    "[(0/90)_4]_s",
-    "carbon",
-    True,
-    10,
-)
+_CROSS_PLY = TruePlate(0.203, 0.151, 5.3e-3, 1580, "FFFF", (*_HALF, *_HALF[::-1]), _CARBON)
+THICK = NominalPlate("thick", _CROSS_PLY, "[(0/90)_4]_s", "carbon", True, 10)
 SUPPORTED = replace(FREE, name="supported", plate=replace(FREE.plate, edges="SSSS"))
-PLATES = {plate.name: plate for plate in (FREE, CLAMPED, THICK, SUPPORTED)}
-
-
-# Of a test that `.ci/run` runs too.
-SLOW = (pytest.mark.slow,)
+OTHERS = [pytest.param(p, id=p.name, marks=pytest.mark.weekly) for p in (CLAMPED, THICK, SUPPORTED)]
+SLOW = (pytest.mark.slow,)  # of a test that `.ci/run` runs too
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,17 +62,17 @@ class Case:
     plate: NominalPlate
     size: float = 0.0
     aux: Aux = field(default_factory=dict)
-    true: Callable[[TruePlate], dict[str, Any]] = lambda plate: {}
-    on_list: Callable[[TruePlate, Array], Array] = lambda own, f: f
+    true: Any = lambda plate: {}
+    on_list: Any = lambda own, f: f
     missed: tuple[int, ...] = ()
     complete: bool = True
     sets: bool = False
-    marks: tuple[pytest.MarkDecorator, ...] = (pytest.mark.slow, pytest.mark.weekly)
+    marks: Any = (pytest.mark.slow, pytest.mark.weekly)
 
-    def listed(self) -> tuple[str, Truth]:
+    def listed(self):
         """The plate's file and the truth."""
         rng = np.random.default_rng(7)
-        how: dict[str, Any] = {"missed": self.missed, "complete": self.complete}
+        how = {"missed": self.missed, "complete": self.complete}
         if self.cause in FLAWS:
             return lists.single(self.plate, self.cause, None, rng, size=self.size, aux=self.aux, **how)
         own = self.plate.drawn(rng)
@@ -94,23 +80,21 @@ class Case:
         return lists.listed(self.plate, true, "one", {}, rng, causes=(self.cause,), **how)
 
 
-def _in_air(own: TruePlate, f: Array) -> Array:
+def _in_air(own, f):
     """A list in air, which the independent elements do not know: unreduced finite ones tell by how much."""
     text = replace(FREE, plate=own).file([100.0 + i for i in range(FREE.n_modes)], stated=None)
     vacuum = parse_specimen(text, "plate.toml")
-    without, in_air = (
-        cb.forward(replace(vacuum, air_density=density), solver="fem").frequencies for density in (None, 1.2)
-    )
-    return np.asarray(f * in_air / without)
+    without, in_air = (cb.forward(replace(vacuum, air_density=d), solver="fem") for d in (None, 1.2))
+    return f * in_air.frequencies / without.frequencies
 
 
-def _misread(factors: dict[int, float]) -> Callable[[TruePlate, Array], Array]:
+def _misread(factors):
     """Some frequencies of the list are multiplied."""
     return lambda own, f: f * [factors.get(i, 1.0) for i in range(len(f))]
 
 
 # A bell, its standard deviation 7.1 % of the shorter side.
-_PATCH: Aux = {"form": "smooth", "x": 0.463, "y": 0.527, "half": [0.071 * 0.193 / 0.271, 0.071]}
+_PATCH = {"form": "smooth", "x": 0.463, "y": 0.527, "half": [0.071 * 0.193 / 0.271, 0.071]}
 # What frequencies can show, at sizes and places that no grid has.
 SHOWN = (
     Case("sensor_mass", FREE, 0.031, {"x": 0.8437, "y": 0.2362}, marks=()),
@@ -160,84 +144,71 @@ ABSORBED = (
 )
 
 
-def _diagnosed(
-    case: Case, catalogue: tuple[cb.effects.Effect, ...] = CATALOGUE, *, power: bool = False, file: str = ""
-) -> cb.DiagnosisResult:
+def _diagnosed(case, catalogue=CATALOGUE, *, power=False, file=""):
     """What a user is told of the list, or of a file. power : with the sizes that it would have shown."""
     plate = plate_case(parse_specimen(file or case.listed()[0], f"{case.plate.name}.toml"))
     hypotheses = hypotheses_of([plate], catalogue)
-    return diagnosis_result(
-        diagnose_cases([plate], hypotheses=hypotheses, sets=case.sets, gain=False, power=power), 0
-    )
+    found = diagnose_cases([plate], hypotheses=hypotheses, sets=case.sets, gain=False, power=power)
+    return diagnosis_result(found, 0)
 
 
-def _marked(cases: tuple[Case, ...]) -> list[object]:
+def _marked(cases):
     """As parameters of a test."""
-    return [
-        pytest.param(case, id=case.cause if case.complete else f"{case.cause}, incomplete", marks=case.marks)
-        for case in cases
-    ]
+    ids = [case.cause if case.complete else f"{case.cause}, incomplete" for case in cases]
+    return [pytest.param(case, id=name, marks=case.marks) for case, name in zip(cases, ids, strict=True)]
 
 
-def test_every_cause_of_the_catalogue_is_hidden() -> None:
+def test_every_cause_of_the_catalogue_is_hidden():
     assert {case.cause for case in (*SHOWN, *ABSORBED, OPEN)} == {effect.name for effect in CATALOGUE}
 
 
 @pytest.mark.parametrize("case", _marked(SHOWN))
-def test_the_claim_is_what_was_hidden(case: Case) -> None:
+def test_the_claim_is_what_was_hidden(case):
     found = _diagnosed(case)
     assert found.claim in ("named", "class")
     assert case.cause in found.causes
 
 
-def test_two_misread_frequencies_are_claimed_at_once() -> None:
+def test_two_misread_frequencies_are_claimed_at_once():
     """The third 3 % too low, the seventh 4.3 % too high: neither alone explains the list."""
     few = tuple(effect for effect in CATALOGUE if effect.name in ("outlier", "mode_identity", "density"))
-    misread = _misread({2: 0.97, 6: 1.043})
-    found = _diagnosed(Case("outlier", FREE, on_list=misread, sets=True), few)
+    found = _diagnosed(Case("outlier", FREE, on_list=_misread({2: 0.97, 6: 1.043}), sets=True), few)
     assert (found.claim, found.causes) == ("pair", ("outlier", "outlier#2"))
     (both,) = (h for h in found.to_dict()["hypotheses"] if h["cause"] == "outlier + outlier#2")
-    sizes = [both["parameters"][name] for name in ("misreading", "misreading#2")]
-    for size, true in zip(sizes, (-3.0, 4.3), strict=True):
+    for name, true in (("misreading", -3.0), ("misreading#2", 4.3)):
+        size = both["parameters"][name]
         assert size["mean"] == pytest.approx(true, abs=3.0 * size["sd"])
         assert size["sd"] < 0.5
-    headline = found.summary().splitlines()[1]
-    assert "misread frequency 296 Hz" in headline
+    assert "misread frequency 296 Hz" in found.summary().splitlines()[1]
     assert "misread frequency 602.7 Hz" in found.summary()
 
 
 @pytest.mark.slow
 @pytest.mark.weekly
-def test_a_shear_ratio_within_its_limits_is_left_open_and_leads() -> None:
+def test_a_shear_ratio_within_its_limits_is_left_open_and_leads():
     found = _diagnosed(OPEN)
     assert found.claim in ("undecided", "class")
     assert found.causes[0] == "shear_ratio"
 
 
 @pytest.mark.parametrize("case", _marked(ABSORBED))
-def test_what_the_constants_imitate_is_not_claimed_and_is_said_to_be_unseen(case: Case) -> None:
+def test_what_the_constants_imitate_is_not_claimed_and_is_said_to_be_unseen(case):
     found = _diagnosed(case, power=True)
     assert found.claim == "none"
     assert case.cause in {row["cause"] for row in found.to_dict()["absorbed"]}
     smallest = {row.cause: row.smallest for row in found.diagnosis.detectable}
-    least = smallest[case.cause]
-    assert least is None or least > abs(case.size)
-    # of others it is told what these data would have shown
-    assert smallest["warp"] is not None
+    assert smallest[case.cause] is None or smallest[case.cause] > abs(case.size)
+    assert smallest["warp"] is not None  # of others it is told what these data would have shown
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "plate",
-    [pytest.param(p, marks=[] if p is FREE else [pytest.mark.weekly]) for p in PLATES.values()],
-    ids=PLATES,
-)
-def test_nothing_is_claimed_of_a_plate_without_a_flaw(plate: NominalPlate) -> None:
+@pytest.mark.parametrize("plate", [pytest.param(FREE, id="free"), *OTHERS])
+def test_nothing_is_claimed_of_a_plate_without_a_flaw(plate):
     assert _diagnosed(Case("none", plate, sets=True)).claim in ("none", "undecided")
 
 
 @pytest.mark.slow
-def test_what_no_cause_explains_is_no_cause() -> None:
+def test_what_no_cause_explains_is_no_cause():
     """A smooth discrepancy of sixteen times the noise."""
     file, _ = lists.smooth(FREE, 16.0, np.random.default_rng(7))
     assert _diagnosed(Case("other", FREE, sets=True), file=file).claim in ("other", "undecided")
@@ -245,14 +216,11 @@ def test_what_no_cause_explains_is_no_cause() -> None:
 
 @pytest.mark.slow
 @pytest.mark.weekly
-def test_a_cause_that_the_catalogue_lacks_is_not_replaced_by_a_wrong_one() -> None:
+def test_a_cause_that_the_catalogue_lacks_is_not_replaced_by_a_wrong_one():
     (warped,) = (case for case in SHOWN if case.cause == "warp")
     others = tuple(effect for effect in CATALOGUE if effect.name != "warp")
-    found = _diagnosed(replace(warped, sets=True), others)
-    assert found.claim in ("none", "undecided", "other")
+    assert _diagnosed(replace(warped, sets=True), others).claim in ("none", "undecided", "other")
 
-
-# A weighed plate that is thinner than stated, and what the commands say of sizes
 
 WEIGHED = PLATE.replace("density_kg_m3 = 2700.0", "mass_g = 680.4")
 KNOWN = WEIGHED.replace("nu12 = 0.33\n", "nu12 = 0.33\n\n[material.sd]\nE1_GPa = 0.69\nnu12 = 0.0033\n", 1)
@@ -260,11 +228,11 @@ GAUGED = "[plate.sd]\nthickness_mm = 0.003\n\n[material]\n"
 SISTERS = WEIGHED.replace("[material]\n", f'{GAUGED}name = "aluminium"\n', 1)
 
 
-def with_list(text: str, thickness_mm: float) -> PlateCase:
-    """A plate of 3 mm by its file, with the list of one of another thickness and the same mass."""
+def listing(text, thickness_mm=3.0, relative_std=0.001):
+    """The file of a plate of 3 mm, with the list of one of another thickness and the same mass."""
     f = cb.forward(parse_specimen(text.replace("= 3.0", f"= {thickness_mm}", 1), "x"), n_modes=8).frequencies
-    listed = f"\n[measurement]\nfrequencies_hz = {[round(float(v), 2) for v in f]}\nrelative_std = 0.001\n"
-    return plate_case(parse_specimen(text + listed, "x"))
+    rounded = [round(float(v), 2) for v in f]
+    return f"{text}\n[measurement]\nfrequencies_hz = {rounded}\nrelative_std = {relative_std}\n"
 
 
 # f^2 goes with E h^3 / m: 1 % of E is 0.33 % of h, less what the prior of h says; between plates E differs by
@@ -279,27 +247,21 @@ def with_list(text: str, thickness_mm: float) -> PlateCase:
     ],
     ids=["of a known material", "gauged", "beside a sister plate"],
 )
-def test_a_weighed_plate_that_is_thinner_than_stated_is_found_so(
-    plates: dict[str, float], thinner: float, least: float, sd: tuple[float, float], near: float
-) -> None:
-    found = diagnosed([with_list(text, h) for text, h in plates.items()], ["thickness"], gain=False)
-    cause = next(c for c in found.causes if c.name == "thickness")
+def test_a_weighed_plate_that_is_thinner_than_stated_is_found_so(plates, thinner, least, sd, near):
+    cases = [plate_case(parse_specimen(listing(text, h), "x")) for text, h in plates.items()]
+    (cause,) = (c for c in diagnosed(cases, ["thickness"], gain=False).causes if c.name == "thickness")
     assert cause.probability > least
-    size = cause.parameters["thickness_deviation"]
-    assert size[0] == pytest.approx(-thinner, abs=near)
-    assert size[1] == pytest.approx(sd[0], abs=sd[1])
+    mean, spread, _ = cause.parameters["thickness_deviation"]
+    assert (mean, spread) == (pytest.approx(-thinner, abs=near), pytest.approx(sd[0], abs=sd[1]))
 
 
 @pytest.mark.slow
-def test_all_commands_say_the_same_of_an_error_of_a_size(tmp_path: Path) -> None:
-    path = tmp_path / "plate.toml"
-    f = cb.forward(parse_specimen(WEIGHED, "x"), n_modes=8).frequencies.tolist()
-    listed = f"\n[measurement]\nfrequencies_hz = {f}\nrelative_std = 0.002\n"
-    path.write_text(WEIGHED + listed, encoding="utf-8")
+def test_all_commands_say_the_same_of_an_error_of_a_size():
+    plate = parse_specimen(listing(WEIGHED, relative_std=0.002), "x")
     settings = EnsembleSettings(walkers=16, round_steps=100, effective=200.0, most_steps=400)
-    identified = cb.identify(path, seed=1).estimate.scale_errors
-    sampled = cb.sample(path, seed=1, settings=settings).scale_errors
-    found = diagnosed([plate_case(cb.read_plate(path))], ["frequency_scale"], gain=False)
+    identified = cb.identify(plate, seed=1).estimate.scale_errors
+    sampled = cb.sample(plate, seed=1, settings=settings).scale_errors
+    found = diagnosed([plate_case(plate)], ["frequency_scale"], gain=False)
     diagnosis = scale_errors_of(found, found.cases[0].models.specimen)
     for one, *others in zip(identified, sampled, diagnosis, strict=True):
         for other in others:
@@ -308,31 +270,24 @@ def test_all_commands_say_the_same_of_an_error_of_a_size(tmp_path: Path) -> None
                 assert np.isclose(other.shift[constant], one.shift[constant], rtol=0.02, atol=0.02)
 
 
-# A plate of two materials
-
-UNKNOWNS = {
-    "carbon": {"E1_GPa": [80.0, 180.0], "E2_GPa": [5.0, 16.0]},
-    "glass": {"E1_GPa": [20.0, 60.0]},
-}
+UNKNOWNS = {"carbon": {"E1_GPa": [80.0, 180.0], "E2_GPa": [5.0, 16.0]}, "glass": {"E1_GPa": [20.0, 60.0]}}
 NOISE = 0.001
 # One draw of the noise, in its own unit.
 DRAWN = np.array([0.4, -1.1, 0.2, 0.9, -0.5, 0.1, -0.3, 1.2, -0.7, 0.6])
 CAUSES = (SENSOR_MASS, THICKNESS, MISORIENTATION, SHEAR_RATIO)
 
 
-def diagnosed_hybrid(*sensors: dict[str, float]) -> cb.DiagnosisResult:
+def diagnosed_hybrid(*sensors):
     """Of the list of finite elements that masses stand on, of which the file says nothing."""
     f = cb.forward({**HYBRID, "sensor": list(sensors)}, n_modes=len(DRAWN), solver="fem").frequencies
-    noisy = [round(float(v), 2) for v in f * (1.0 + NOISE * DRAWN)]
-    listed = {"frequencies_hz": noisy, "resolution_hz": 0.01, "relative_std": NOISE}
-    file = {**HYBRID, "unknowns": UNKNOWNS, "measurement": listed}
+    listed = {"frequencies_hz": (f * (1.0 + NOISE * DRAWN)).round(2).tolist(), "resolution_hz": 0.01}
+    file = {**HYBRID, "unknowns": UNKNOWNS, "measurement": {**listed, "relative_std": NOISE}}
     return cb.diagnose(file, catalogue=CAUSES, next_test="never")
 
 
 @pytest.mark.slow
-def test_an_added_mass_on_a_hybrid_is_found_with_its_size_and_place() -> None:
-    # 9 g on a plate of some 310 g
-    result = diagnosed_hybrid({"mass_g": 9.0, "x_mm": 280.0, "y_mm": 185.0})
+def test_an_added_mass_on_a_hybrid_is_found_with_its_size_and_place():
+    result = diagnosed_hybrid({"mass_g": 9.0, "x_mm": 280.0, "y_mm": 185.0})  # 9 g on a plate of some 310 g
     assert (result.claim, result.diagnosis.causes[0].name) == ("named", SENSOR_MASS.name)
     size = result.to_dict()["hypotheses"][0]["parameters"][SENSOR_MASS.parameters[0].name]
     assert abs(size["mean"] - 9.0) < 3.0 * size["sd"]
@@ -343,7 +298,7 @@ def test_an_added_mass_on_a_hybrid_is_found_with_its_size_and_place() -> None:
 
 @pytest.mark.slow
 @pytest.mark.weekly
-def test_of_a_hybrid_with_nothing_wrong_nothing_is_claimed() -> None:
+def test_of_a_hybrid_with_nothing_wrong_nothing_is_claimed():
     result = diagnosed_hybrid()
     assert result.claim in ("none", "undecided")
     assert result.diagnosis.causes[0].name == "none"

@@ -1,25 +1,14 @@
 """A mass that was added to a plate: its shifts against whole models, and what lists say of it."""
 
-from typing import Any
+from itertools import product
 
 import numpy as np
 import pytest
 
 import cpam_bayes as cb
 from cpam_bayes.forward_model.model import converged_model
-from cpam_bayes.identification.added_mass import (
-    AddedMass,
-    Cells,
-    Finding,
-    LoadedPlate,
-    Repeatability,
-    cells_of,
-    detection_limit,
-    find_masses,
-    loaded_plate,
-    spread_of_shifts,
-    symmetries,
-)
+from cpam_bayes.identification import added_mass
+from cpam_bayes.identification.added_mass import Finding, Repeatability, cells_of, find_masses, symmetries
 from cpam_bayes.parameters import Parameter, ParameterSet, Uniform
 from tests.plate_file import described
 
@@ -29,57 +18,56 @@ SIZE = (240.0, 160.0, 2.6)
 MASS = 1900.0 * 0.24 * 0.16 * 0.0026
 
 
-def plate_of(edges: str, **tables: Any) -> dict[str, Any]:
+def plate_of(edges, **tables):
     return described(SIZE, 1900.0, GLASS, layup="[(0/90)_3]_s", edges=edges, **tables)
 
 
-def loaded(edges: str) -> LoadedPlate:
+def loaded(edges):
     parameters = ParameterSet((Parameter("E1", "Pa", Uniform(20e9, 60e9)),))
     model = converged_model(cb.read_plate(plate_of(edges)), parameters, N)
     at = np.array([40e9])
-    return loaded_plate(model, at, at[None] * [[0.99], [1.01]], np.arange(N), (0.24, 0.16), (MASS, 0.002))
+    of = (0.24, 0.16), (MASS, 0.002)
+    return added_mass.loaded_plate(model, at, at * [[0.99], [1.01]], np.arange(N), *of)
 
 
 @pytest.fixture(scope="module")
-def free() -> tuple[LoadedPlate, Cells]:
+def free():
     plate = loaded("FFFF")
     return plate, cells_of(plate)
 
 
-def answer(
-    plate: tuple[LoadedPlate, Cells], d: np.ndarray, noise: float | None = NOISE, seed: int = 0
-) -> AddedMass:
+def answer(plate, d, noise=NOISE, seed=0):
     relative = None if noise is None else np.full(N, noise)
     return find_masses(*plate, [(d, Repeatability(relative, np.zeros(N)))], np.random.default_rng(seed))[0]
 
 
-def shifts_of_model(edges: str, mass: float, x: float, y: float) -> np.ndarray:
+def repeated(rng):
+    """The noise of the shifts between two lists."""
+    return np.sqrt(2) * NOISE * rng.standard_normal(N)
+
+
+def shifts_of_model(edges, mass, x, y):
     """Of a plate whose whole model holds the mass, nine points of a disc of 24 kg/m2 on its surface."""
     places = [(-0.75, 2.0 / 9.0), (0.0, 5.0 / 9.0), (0.75, 2.0 / 9.0)]  # second moments of a disc
     radius = 1e3 * np.sqrt(mass / (np.pi * AREAL))
-    known = [
-        {"mass_g": 1e3 * mass * p * q, "x_mm": x + radius * i, "y_mm": y + radius * j}
-        for i, p in places
-        for j, q in places
-    ]
+    at = ((p * q, x + radius * i, y + radius * j) for (i, p), (j, q) in product(places, places))
+    known = [{"mass_g": 1e3 * mass * part, "x_mm": u, "y_mm": v} for part, u, v in at]
     with_mass = cb.forward(plate_of(edges, sensor=known), N).frequencies
-    return np.asarray(np.log(with_mass / cb.forward(plate_of(edges), N).frequencies))
+    return np.log(with_mass / cb.forward(plate_of(edges), N).frequencies)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("edges", ["FFFF", "CFFF"])
 @pytest.mark.parametrize("fraction", [0.01, 0.08])
-def test_shifts_in_the_modes_are_those_of_a_model_that_holds_the_mass(edges: str, fraction: float) -> None:
-    exact = shifts_of_model(edges, fraction * MASS, 60.0, 35.0)
-    found = loaded(edges).shifts(np.array([[60 / 240, 35 / 160]]), np.array([fraction * MASS]), [AREAL])[
-        0, 0, 0
-    ]
+def test_shifts_in_the_modes_are_those_of_a_model_that_holds_the_mass(edges, fraction):
+    exact, mass = shifts_of_model(edges, fraction * MASS, 60.0, 35.0), np.array([fraction * MASS])
+    found = loaded(edges).shifts(np.array([[60 / 240, 35 / 160]]), mass, [AREAL])[0, 0, 0]
     # the form error that is counted with is 2 % of a shift
     assert np.abs(found - exact).max() < 0.02 * np.abs(exact).max()
 
 
 @pytest.mark.slow
-def test_a_mass_up_to_the_largest_is_found_where_it_is(free: tuple[LoadedPlate, Cells]) -> None:
+def test_a_mass_up_to_the_largest_is_found_where_it_is(free):
     mass, x, y = 0.03 * MASS, 60.0, 35.0
     found = answer(free, shifts_of_model("FFFF", mass, x, y))
     assert found.finding is Finding.ADDED
@@ -87,13 +75,11 @@ def test_a_mass_up_to_the_largest_is_found_where_it_is(free: tuple[LoadedPlate, 
     # a cross-ply plate that is free all round looks alike from its four corners
     assert len(found.images) == 3
     assert found.distance(1e-3 * x, 1e-3 * y) < 0.5 * found.radius < 0.01
-    # a repeatability that is not stated is inferred
-    d = shifts_of_model("FFFF", 0.04 * MASS, x, y)
-    found = answer(free, d + np.sqrt(2) * NOISE * np.random.default_rng(3).standard_normal(N), noise=None)
+    d = shifts_of_model("FFFF", 0.04 * MASS, x, y)  # a repeatability that is not stated is inferred
+    found = answer(free, d + repeated(np.random.default_rng(3)), noise=None)
     assert found.finding is Finding.ADDED
     assert NOISE / 3 < found.noise < 3 * NOISE
-    # a mass beyond the largest is no mass that was found
-    d = shifts_of_model("FFFF", 0.22 * MASS, x, y)
+    d = shifts_of_model("FFFF", 0.22 * MASS, x, y)  # a mass beyond the largest is no mass that was found
     for noise in (NOISE, None):
         assert answer(free, d, noise=noise).finding is Finding.OTHER
     clamped = loaded("CFFF")
@@ -102,52 +88,48 @@ def test_a_mass_up_to_the_largest_is_found_where_it_is(free: tuple[LoadedPlate, 
 
 @pytest.mark.slow
 @pytest.mark.weekly
-def test_masses_lie_in_their_intervals_as_often_as_these_say(free: tuple[LoadedPlate, Cells]) -> None:
-    rng = np.random.default_rng(5)
-    inside = []
+def test_masses_lie_in_their_intervals_as_often_as_these_say(free):
+    rng, inside = np.random.default_rng(5), []
     for seed in range(12):
         mass, place = MASS * rng.uniform(0.02, 0.06), rng.uniform(size=(1, 2))
         d = free[0].shifts(place, np.array([mass]), [AREAL])[0, 0, 0]
-        found = answer(free, d + np.sqrt(2) * NOISE * rng.standard_normal(N), seed=seed)
+        found = answer(free, d + repeated(rng), seed=seed)
         inside.append(found.interval[0] < mass < found.interval[1])
-    # 12 trials of 0.95: below 9 with a probability of 0.002
-    assert sum(inside) >= 9
+    assert sum(inside) >= 9  # 12 trials of 0.95: below 9 with a probability of 0.002
 
 
-def test_known_masses_show_repeatability_and_error_of_a_shift() -> None:
+def test_known_masses_show_repeatability_and_error_of_a_shift():
     """95 and 90 % by the binomial: of 200 laboratories with four coins that share a first list."""
     rng = np.random.default_rng(8)
     shifts, inside, below = 0.02 * rng.uniform(size=(200, 4, N)), 0, 0
     for shift in shifts:
         noise, form = 0.002 * rng.standard_normal((5, N)), 0.1 * shift * rng.standard_normal(shift.shape)
-        (low, high), bound = spread_of_shifts(noise[1:] - noise[0] + form, shift, np.zeros(N))
+        (low, high), bound = added_mass.spread_of_shifts(noise[1:] - noise[0] + form, shift, np.zeros(N))
         inside, below = inside + (low < 0.002 < high), below + (bound > 0.1)
     assert 180 <= inside <= 199
     assert below >= 180
 
 
 @pytest.mark.slow
-def test_no_mass_is_claimed_of_repeats(free: tuple[LoadedPlate, Cells]) -> None:
+def test_no_mass_is_claimed_of_repeats(free):
     rng = np.random.default_rng(1)
-    repeats = [answer(free, np.sqrt(2) * NOISE * rng.standard_normal(N)) for _ in range(12)]
-    assert sum(found.finding is Finding.ADDED for found in repeats) <= 1
-    assert sum(found.finding is Finding.NOTHING for found in repeats) >= 8
+    repeats = [answer(free, repeated(rng)).finding for _ in range(12)]
+    assert repeats.count(Finding.ADDED) <= 1
+    assert repeats.count(Finding.NOTHING) >= 8
     # frequencies that all rise, or fall as in a warmer room, are no added mass
     for factor in (0.01, -0.01, -0.005):
-        noisy = factor + np.sqrt(2) * NOISE * rng.standard_normal(N)
+        noisy = factor + repeated(rng)
         assert answer(free, noisy).finding is Finding.OTHER
         assert answer(free, noisy, noise=None).finding in (Finding.OTHER, Finding.OPEN)
 
 
 @pytest.mark.slow
 @pytest.mark.weekly
-def test_lists_tell_each_other_the_repeatability_that_no_file_states(free: tuple[LoadedPlate, Cells]) -> None:
-    d = shifts_of_model("FFFF", 0.03 * MASS, 60.0, 35.0)
-    rng = np.random.default_rng(4)
+def test_lists_tell_each_other_the_repeatability_that_no_file_states(free):
+    d, rng = shifts_of_model("FFFF", 0.03 * MASS, 60.0, 35.0), np.random.default_rng(4)
     shared = NOISE * rng.standard_normal(N)
     lists = [on + NOISE * rng.standard_normal(N) - shared for on in (d, 0.0 * d, 0.0 * d)]
-    unstated = Repeatability(None, np.zeros(N))
-    alone = answer(free, lists[0], noise=None)
+    unstated, alone = Repeatability(None, np.zeros(N)), answer(free, lists[0], noise=None)
     together = find_masses(*free, [(one, unstated) for one in lists], rng)
     assert together[0].log_bayes_factor > alone.log_bayes_factor + 4.0
     # two standard deviations of what about 25 independent differences say of their scatter
@@ -158,21 +140,16 @@ def test_lists_tell_each_other_the_repeatability_that_no_file_states(free: tuple
 
 @pytest.mark.slow
 @pytest.mark.weekly
-def test_a_mass_at_the_detection_limit_is_mostly_claimed_and_half_of_it_less_often(
-    free: tuple[LoadedPlate, Cells],
-) -> None:
+def test_a_mass_at_the_detection_limit_is_mostly_claimed_and_a_tenth_of_it_less_often(free):
     rng = np.random.default_rng(2)
-    limit = detection_limit(*free, NOISE, np.zeros(N), rng)
-    assert limit is not None
+    limit = added_mass.detection_limit(*free, NOISE, np.zeros(N), rng)
 
-    def claimed(mass: float) -> int:
+    def claimed(mass):
         count = 0
         for _ in range(8):
             d = free[0].shifts(rng.uniform(0.0, 0.15, (1, 2)), np.array([mass]), [AREAL])[0, 0, 0]
-            d = d + np.sqrt(2) * NOISE * rng.standard_normal(N)
-            count += answer(free, d).finding is Finding.ADDED
+            count += answer(free, d + repeated(rng)).finding is Finding.ADDED
         return count
 
-    # beside a corner, where a mass shows best
-    assert claimed(limit) >= 7
+    assert claimed(limit) >= 7  # beside a corner, where a mass shows best
     assert claimed(0.1 * limit) <= 3

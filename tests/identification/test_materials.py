@@ -1,7 +1,6 @@
 """Constants of hybrids and of orthotropic plies in any order of moduli, from frequencies of one plate."""
 
 import json
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,34 +15,27 @@ from tests.plate_file import described
 TRUTH = {"carbon.E1": 128.0, "carbon.E2": 8.6, "glass.E1": 43.0}
 
 
-def set_truth(plate: dict[str, Any]) -> None:
+def set_truth(plate):
     for name, value in TRUTH.items():
         material, constant = name.split(".")
         plate["material"][material] = {**plate["material"][material], f"{constant}_GPa": value}
 
 
+UNKNOWNS = {"carbon": {"E1_GPa": [80.0, 180.0], "E2_GPa": [5.0, 16.0]}, "glass": {"E1_GPa": [20.0, 60.0]}}
+
+
 @pytest.fixture(scope="module")
-def measured() -> dict[str, Any]:
+def measured():
     plate = hybrid()
     set_truth(plate)
     # finite elements, so that the inverse problem is not solved by the model that made the list
     f = cb.forward(plate, n_modes=10, solver="fem").frequencies
-    return {
-        **HYBRID,
-        "unknowns": {
-            "carbon": {"E1_GPa": [80.0, 180.0], "E2_GPa": [5.0, 16.0]},
-            "glass": {"E1_GPa": [20.0, 60.0]},
-        },
-        "measurement": {
-            "frequencies_hz": [round(float(v), 3) for v in f],
-            "resolution_hz": 0.001,
-            "relative_std": 0.001,
-        },
-    }
+    listed = {"frequencies_hz": f.round(3).tolist(), "resolution_hz": 0.001, "relative_std": 0.001}
+    return {**HYBRID, "unknowns": UNKNOWNS, "measurement": listed}
 
 
 @pytest.mark.slow
-def test_the_swarm_finds_the_constants_of_both_materials(measured: dict[str, Any]) -> None:
+def test_the_swarm_finds_the_constants_of_both_materials(measured):
     result = cb.identify(measured, seed=0)
     found = result.to_dict()["constants"]
     assert list(found) == ["carbon.E1_GPa", "carbon.E2_GPa", "glass.E1_GPa"]
@@ -51,16 +43,13 @@ def test_the_swarm_finds_the_constants_of_both_materials(measured: dict[str, Any
         assert abs(found[f"{name}_GPa"]["value"] / value - 1.0) < 0.004
     json.dumps(result.to_dict(), allow_nan=False)
     shown = result.report()
-    behind = str(shown.sections)
-    assert "Young's modulus along the fibres, glass" in behind
+    assert "Young's modulus along the fibres, glass" in str(shown.sections)
     assert "cpam-bayes diagnose" in shown.summary.next_step
 
 
 @pytest.mark.slow
 @pytest.mark.weekly
-def test_the_posterior_covers_the_constants_of_both_materials(
-    measured: dict[str, Any], tmp_path: Any
-) -> None:
+def test_the_posterior_covers_the_constants_of_both_materials(measured, tmp_path):
     result = cb.sample(measured, seed=0)
     assert result.status == "converged"
     for name, constant in result.constants.items():
@@ -74,17 +63,15 @@ def test_the_posterior_covers_the_constants_of_both_materials(
     other = hybrid(layup="[c0/g90/c90]_s", thickness_mm=1.75)
     predicted = cb.predict(tmp_path / "posterior.nc", other, n_modes=4)
     set_truth(other)
-    truth = cb.forward(other, n_modes=4).frequencies
-    for mode, f in zip(predicted.modes, truth, strict=True):
+    for mode, f in zip(predicted.modes, cb.forward(other, n_modes=4).frequencies, strict=True):
         assert abs(mode.mean - f) < 4.0 * mode.sd + 2e-4 * f
 
 
 @pytest.mark.slow
-def test_unknown_angles_and_the_sequence_of_a_hybrid_are_found(measured: dict[str, Any]) -> None:
+def test_unknown_angles_and_the_sequence_of_a_hybrid_are_found(measured):
     plate = {**measured, "plate": {**measured["plate"], "layup": "[c0_2/g?/g?/c90]_s"}}
     plate["unknowns"] = {**plate["unknowns"], "angle_grid_deg": 45.0}
-    angles = cb.identify(plate, seed=0).angles
-    assert tuple(np.abs(angles.angles_deg)) == (45.0, 45.0)
+    assert tuple(np.abs(cb.identify(plate, seed=0).angles.angles_deg)) == (45.0, 45.0)
     found = cb.sequence(plate, seed=0)
     assert tuple(np.abs(found.answer.top[0])) == (45.0, 45.0)
     assert found.answer.probability[0] * found.answer.multiplicity[0] > 0.99
@@ -94,25 +81,15 @@ def test_unknown_angles_and_the_sequence_of_a_hybrid_are_found(measured: dict[st
         assert abs(mean - value) < 3.0 * sd
 
 
-def test_turned_upside_down_a_hybrid_is_another_plate_where_its_plies_differ() -> None:
-    def turns(layup: str, thickness_mm: float) -> bool:
-        plate = hybrid(layup=layup, thickness_mm=thickness_mm)
-        return any("upside down" in s.name for s in plate_symmetries(cb.read_plate(plate)))
-
-    assert turns("[c?/g0/c?]", 0.875)
-    assert not turns("[c?/c0/g?]", 0.875)
+@pytest.mark.parametrize(("layup", "turns"), [("[c?/g0/c?]", True), ("[c?/c0/g?]", False)])
+def test_turned_upside_down_a_hybrid_is_another_plate_where_its_plies_differ(layup, turns):
+    symmetries = plate_symmetries(cb.read_plate(hybrid(layup=layup, thickness_mm=0.875)))
+    assert any("upside down" in s.name for s in symmetries) is turns
 
 
-def test_a_swarm_starts_within_the_constraints_of_each_material(measured: dict[str, Any]) -> None:
-    plate = cb.read_plate(
-        {
-            **measured,
-            "unknowns": {
-                "glass": {"nu12": [0.1, 0.4], "E2_GPa": [5.0, 60.0], "E1_GPa": [5.0, 60.0]},
-                "carbon": {"E1_GPa": [5.0, 60.0]},
-            },
-        }
-    )
+def test_a_swarm_starts_within_the_constraints_of_each_material(measured):
+    glass = {"nu12": [0.1, 0.4], "E2_GPa": [5.0, 60.0], "E1_GPa": [5.0, 60.0]}
+    plate = cb.read_plate({**measured, "unknowns": {"glass": glass, "carbon": {"E1_GPa": [5.0, 60.0]}}})
     swarm = material_swarm(plate.material, plate.unknowns, 200, np.random.default_rng(0))
     constants = plate.unknowns.mapping(swarm)
     assert plate.material.admissible(constants).all()
@@ -126,32 +103,25 @@ GRAIN_2 = GRAIN_1 | {"E1_GPa": 0.9, "E2_GPa": 11.0, "nu12": 0.53 * 0.9 / 11.0, "
 CUT = "nu12 < 0.5, a positive definite stiffness, first of eq. (9)"
 
 
-def sheet(
-    constants: dict[str, float], layup: str, symmetry: str = "orthotropic", **tables: Any
-) -> dict[str, Any]:
-    material = {"symmetry": symmetry, **constants}
-    return described((400.0, 160.0, 3.0), 430.0, material, layup=layup, **tables)
+def sheet(constants, layup, kind="orthotropic", **tables):
+    return described((400.0, 160.0, 3.0), 430.0, {"symmetry": kind, **constants}, layup=layup, **tables)
 
 
-def around(constants: dict[str, float]) -> dict[str, list[float]]:
+def around(constants):
     bounds = {key: [0.5 * constants[key], 2.0 * constants[key]] for key in ("E1_GPa", "E2_GPa", "G12_GPa")}
     return bounds | {"nu12": [0.0, 0.9]}
 
 
 @pytest.fixture(scope="module")
-def of_spruce() -> dict[str, Any]:
+def of_spruce():
     f = cb.forward(sheet(GRAIN_1, "[0]"), n_modes=8).frequencies
     return {"frequencies_hz": [round(float(v), 2) for v in f], "relative_std": 0.002}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("constants", "layup"), [(GRAIN_1, "[0]"), (GRAIN_2, "[90]")], ids=["along", "across"]
-)
-def test_the_constants_of_spruce_are_found_in_either_order(
-    of_spruce: dict[str, Any], constants: dict[str, float], layup: str
-) -> None:
-    point = cb.identify(sheet(constants, layup, unknowns=around(constants), measurement=of_spruce))
+@pytest.mark.parametrize(("known", "layup"), [(GRAIN_1, "[0]"), (GRAIN_2, "[90]")], ids=["along", "across"])
+def test_the_constants_of_spruce_are_found_in_either_order(of_spruce, known, layup):
+    point = cb.identify(sheet(known, layup, unknowns=around(known), measurement=of_spruce))
     assert point.notices == ()
     for constant in point.estimate.constants:
         truth = point.specimen.material.complete()[constant.name]
@@ -160,14 +130,12 @@ def test_the_constants_of_spruce_are_found_in_either_order(
 
 
 @pytest.mark.slow
-def test_a_constraint_in_the_way_is_named_by_swarm_and_posterior(of_spruce: dict[str, Any]) -> None:
+def test_a_constraint_in_the_way_is_named_by_swarm_and_posterior(of_spruce):
     reference = {key: GRAIN_1[key] for key in ("E1_GPa", "E2_GPa", "G12_GPa")} | {"nu12": 0.4}
-    plate = sheet(
-        reference, "[0]", "transversely_isotropic", unknowns=around(reference), measurement=of_spruce
-    )
-    point = cb.identify(plate)
+    tables = {"unknowns": around(reference), "measurement": of_spruce}
+    plate = sheet(reference, "[0]", "transversely_isotropic", **tables)
+    point, posterior = cb.identify(plate), cb.sample(plate)
     assert [n.facts["constraint"].text for n in point.notices] == [CUT]
-    posterior = cb.sample(plate)
     assert [n.facts["constraint"].text for n in posterior.notices if n.code == "cut_posterior"] == [CUT]
     for document in (point.to_dict(), posterior.to_dict()):
         assert any(CUT in warning for warning in document["warnings"])

@@ -11,12 +11,10 @@ from cpam_bayes.answer import Constant, Verdict
 from cpam_bayes.diagnosis.cases import plate_case
 from cpam_bayes.forward_model.model import ASSUMED_SD, assumed_spreads, constant_parameters, with_references
 from cpam_bayes.parameters import TruncatedLogNormal, TruncatedNormal, Uniform
-from cpam_bayes.plate import Specimen, parse_specimen
-from cpam_bayes.questions.identify import PointResult
-from cpam_bayes.questions.identify.emcee import SampledResult
+from cpam_bayes.plate import parse_specimen
 from cpam_bayes.render.sentences import determined_text, references_said
 from tests.diagnosed import diagnosed
-from tests.plate_file import MEASURED, PLATE
+from tests.plate_file import MEASURED, PLATE, described
 
 PANEL = str(Path(__file__).parents[2] / "examples" / "panel.toml")
 # The constants that the list of the panel was made with.
@@ -24,49 +22,41 @@ TRUTH = {"E1": 136.5e9, "E2": 8.8e9, "nu12": 0.32, "G12": 4.62e9}
 SD = "\n[material.sd]\nE1_GPa = 2.0\n"
 
 
-def plate(text: str = PLATE) -> Specimen:
+def plate(text=PLATE):
     return parse_specimen(text + MEASURED, "plate.toml")
 
 
 @pytest.fixture(scope="module")
-def point() -> PointResult:
+def point():
     return cb.identify(PANEL, seed=0)
 
 
-@pytest.fixture(scope="module")
-def sampled() -> SampledResult:
-    return cb.sample(PANEL, seed=0)
-
-
 @pytest.mark.slow
-def test_identify_sample_and_diagnose_answer_alike_and_right_on_the_panel_of_the_readme(
-    point: PointResult, sampled: SampledResult
-) -> None:
+def test_identify_sample_and_diagnose_answer_alike_and_right_on_the_panel_of_the_readme(point):
     """Means and sds of n draws are known to 1 / sqrt(n) and 1 / sqrt(2 n) sd; apart, three of two answers.
 
     Of `identify` and emcee 600 draws or more count, of the diagnosis as many as its weights say.
     """
+    sampled = cb.sample(PANEL, seed=0)
     diagnosis = diagnosed([plate_case(cb.read_plate(PANEL))], ["frequency_scale"], gain=False)
     error = (1.0 / 600.0 + 1.0 / diagnosis.weighed.none.marginal.effective_size) ** 0.5
     assert error < 0.07
-    for name, (mean, sd, *_) in diagnosis.baseline.constants.items():
-        if name not in TRUTH:
-            continue
-        answers = [(c.constants[name].value, c.constants[name].sd) for c in (point, sampled)] + [(mean, sd)]
-        values, spreads = np.array(answers).T
+    for name in TRUTH:
+        answers = [(c.constants[name].value, c.constants[name].sd) for c in (point, sampled)]
+        values, spreads = np.array([*answers, diagnosis.baseline.constants[name][:2]]).T
         assert np.ptp(values) < 3.0 * error * spreads.min(), name
         assert np.ptp(spreads) < 3.0 * error / 2.0**0.5 * spreads.min(), name
     for constants in (point.constants, sampled.constants, {c.name: c for c in point.estimate.alone}):
         for name, true in TRUTH.items():
-            low, high = constants[name].interval or (np.nan, np.nan)
+            low, high = constants[name].interval
             assert low < true < high
 
 
-def test_the_frequencies_alone_leave_open_what_the_data_sheet_decides(point: PointResult) -> None:
-    alone = {c.name: c for c in point.estimate.alone}["nu12"]
+def test_the_frequencies_alone_leave_open_what_the_data_sheet_decides(point):
+    (alone,) = (c for c in point.estimate.alone if c.name == "nu12")
     found = point.constants["nu12"]
     assert alone.sd > 2.0 * found.sd
-    assert isinstance(alone.prior, Uniform)
+    assert type(alone.prior) is Uniform
     assert determined_text(found) == "not determined: the data sheet decides"
     for distance, said in ((1.9, "the data sheet decides"), (2.1, "far from the data sheet")):
         moved = replace(found, value=found.reference - distance * found.prior.sd)
@@ -76,12 +66,12 @@ def test_the_frequencies_alone_leave_open_what_the_data_sheet_decides(point: Poi
     assert point.to_dict()["frequencies_alone"]["nu12"]["sd"] == pytest.approx(alone.sd)
 
 
-def bounds(name: str) -> tuple[float, float]:
+def bounds(name):
     prior = plate().unknowns[name].prior
     return prior.lower, prior.upper
 
 
-def test_a_reference_is_normal_as_stated_or_known_to_a_quarter_and_orthotropic_to_four_tenths() -> None:
+def test_a_reference_is_normal_as_stated_or_known_to_a_quarter_and_orthotropic_to_four_tenths():
     e1, nu12 = (p.prior for p in constant_parameters(plate(PLATE + SD)).parameters)
     assert e1 == TruncatedNormal(69e9, 2e9, *bounds("E1"))
     assert isinstance(nu12, TruncatedLogNormal)
@@ -110,64 +100,43 @@ def test_a_reference_is_normal_as_stated_or_known_to_a_quarter_and_orthotropic_t
     ],
     ids=["not known", "outside its bounds"],
 )
-def test_bounds_alone_count_where_nothing_is_known_of_a_reference(changed: str) -> None:
+def test_bounds_alone_count_where_nothing_is_known_of_a_reference(changed):
     specimen = plate(changed)
     assert constant_parameters(specimen) == specimen.unknowns
     assert references_said(with_references(specimen)) == ()
 
 
-def test_a_normal_prior_of_unknowns_stays_and_bounds_that_leave_nothing_of_a_reference_are_refused() -> None:
+def test_a_normal_prior_of_unknowns_stays():
     low, high = bounds("E1")
     normal = f"{{ mean = 70.0, sd = 1.0, bounds = [{low / 1e9}, {high / 1e9}] }}"
     text = PLATE.replace(f"E1_GPa = [{low / 1e9}, {high / 1e9}]", f"E1_GPa = {normal}") + SD
     assert constant_parameters(plate(text))["E1"].prior == TruncatedNormal(70e9, 1e9, low, high)
-    outside = plate(PLATE.replace("E1_GPa = 69.0", "E1_GPa = 900.0") + SD)
-    with pytest.raises(ValueError, match=r"unknowns\.E1: its bounds leave nothing within 4 standard deviat"):
-        constant_parameters(outside)
 
 
-def test_a_prior_that_counts_is_called_by_where_it_is_from() -> None:
-    stated = TruncatedNormal(69e9, 2e9, 10e9, 200e9)
-    c = Constant("E1", 70e9, 1e9, (68e9, 72e9), stated, 69e9, Verdict.BOTH)
+def test_a_prior_that_counts_is_called_by_where_it_is_from():
+    c = Constant("E1", 70e9, 1e9, (68e9, 72e9), TruncatedNormal(69e9, 2e9, 10e9, 200e9), 69e9, Verdict.BOTH)
     assert determined_text(c) == "partly: the data sheet's 69 +- 2 GPa counts"
     assert determined_text(replace(c, reference=71e9)) == "partly: prior 69 +- 2 GPa counts"
     assert determined_text(replace(c, verdict=Verdict.PRIOR, reference=71e9)) == "not determined"
 
 
-def of_another_material(**changes: float) -> dict[str, object]:
+def of_another_material(**changes):
     """The panel's geometry, E1 of 55 GPa, and the data sheet of a stiffer material."""
     truth = {"E1_GPa": 55.0, "E2_GPa": 9.4, "nu12": 0.3, "G12_GPa": 4.7}
     sheet = {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8, **changes}
-    plate = {
-        "length_mm": 310.0,
-        "width_mm": 228.0,
-        "thickness_mm": 3.1,
-        "mass_g": 340.7,
-        "layup": "[0_8]",
-        "edges": "FFFF",
-    }
-    described: dict[str, object] = {
-        "name": "of another material",
-        "plate": plate,
-        "material": truth,
-        "unknowns": {
-            "E1_GPa": [30.0, 200.0],
-            "E2_GPa": [3.0, 20.0],
-            "nu12": [0.1, 0.49],
-            "G12_GPa": [1.5, 10],
-        },
-    }
-    frequencies = cb.forward(described, 10).frequencies
+    sd = {"E1_GPa": 9.0, "E2_GPa": 0.6, "nu12": 0.02, "G12_GPa": 0.3}
+    bounds = {"E1_GPa": [30.0, 200.0], "E2_GPa": [3.0, 20.0], "nu12": [0.1, 0.49], "G12_GPa": [1.5, 10]}
+    plate = described((310.0, 228.0, 3.1), 1600.0, truth, layup="[0_8]", unknowns=bounds)
+    del plate["plate"]["density_kg_m3"]  # it was weighed
+    plate["plate"]["mass_g"] = 340.7
     noise = 1.0 + 0.002 * np.random.default_rng(0).standard_normal(10)
-    return {
-        **described,
-        "material": {**sheet, "sd": {"E1_GPa": 9.0, "E2_GPa": 0.6, "nu12": 0.02, "G12_GPa": 0.3}},
-        "measurement": {"frequencies_hz": np.round(frequencies * noise, 2).tolist(), "relative_std": 0.002},
-    }
+    listed = np.round(cb.forward(plate, 10).frequencies * noise, 2).tolist()
+    measured = {"frequencies_hz": listed, "relative_std": 0.002}
+    return {**plate, "material": {**sheet, "sd": sd}, "measurement": measured}
 
 
 @pytest.mark.slow
-def test_a_data_sheet_of_another_material_cuts_no_interval_and_is_named() -> None:
+def test_a_data_sheet_of_another_material_cuts_no_interval_and_is_named():
     """It lies eight standard deviations away: the density of `identify` is that of emcee there too."""
     file = of_another_material()
     found, sampled = cb.identify(file, seed=0), cb.sample(file, seed=0)
@@ -175,7 +144,7 @@ def test_a_data_sheet_of_another_material_cuts_no_interval_and_is_named() -> Non
         a, b = found.constants[name], sampled.constants[name]
         assert abs(a.value - b.value) < 0.5 * b.sd, name
         assert a.sd == pytest.approx(b.sd, rel=0.25), name
-    low, high = found.constants["E1"].interval or (np.nan, np.nan)
+    low, high = found.constants["E1"].interval
     assert 50e9 < low < high < 62e9
     for answer in (found, sampled):
         (notice,) = (n for n in answer.notices if n.code == "far_reference")
@@ -185,19 +154,15 @@ def test_a_data_sheet_of_another_material_cuts_no_interval_and_is_named() -> Non
 
 
 @pytest.mark.slow
-def test_where_the_prior_leaves_a_misfit_nothing_is_determined() -> None:
+def test_where_the_prior_leaves_a_misfit_nothing_is_determined():
     """A data sheet known to 0.4 % holds E1 away from the list."""
     file = of_another_material(E1_GPa=60.0)
-    material = file["material"]
-    assert isinstance(material, dict)
-    held = {**file, "material": {**material, "sd": {**material["sd"], "E1_GPa": 0.2}}}
-    sizes = {"length_mm": 0.0, "width_mm": 0.0, "thickness_mm": 0.0, "mass_g": 0.0}
-    plate = file["plate"]
-    assert isinstance(plate, dict)
-    answer = cb.identify({**held, "plate": {**plate, "sd": sizes}}, seed=0)
-    assert "misfit_over_noise" in {n.code for n in answer.notices}
-    assert not any(c.is_determined for c in answer.constants.values())
+    file["plate"]["sd"] = {"length_mm": 0.0, "width_mm": 0.0, "thickness_mm": 0.0, "mass_g": 0.0}
     # with a spread that allows for it the list is explained
-    free = cb.identify({**file, "plate": {**plate, "sd": sizes}}, seed=0)
+    free = cb.identify(file, seed=0)
     assert free.constants["E1"].is_determined
     assert not {"misfit_over_noise", "far_reference"} & {n.code for n in free.notices}
+    file["material"]["sd"]["E1_GPa"] = 0.2
+    held = cb.identify(file, seed=0)
+    assert "misfit_over_noise" in {n.code for n in held.notices}
+    assert not any(c.is_determined for c in held.constants.values())
