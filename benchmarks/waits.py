@@ -102,7 +102,14 @@ SOLVER_ROWS = (
         "reduced solve, any layup, peer with five fields",
         *("C1, any layup", "a reduced solve in 64", "times faster", 500.0, True),
     ),
-    SolverRow("worst relative error of a reduced solve", "C1, any layup", "worst error of the reduction", "", 1e-4, False),
+    SolverRow(
+        "worst relative error of a reduced solve",
+        "C1, any layup",
+        "worst error of the reduction",
+        "",
+        1e-4,
+        False,
+    ),
     SolverRow("derivatives, any layup", "C1, any layup", "with derivatives", "solves", 2.0, False),
     SolverRow(
         "derivatives, mass in a corner", "C1, mass in a corner", "with derivatives", "solves", 2.0, False

@@ -10,26 +10,23 @@ from cpam_bayes.calibration import N_DRAWS, Repetition, rank_statistics
 from cpam_bayes.questions.calibrate import CalibrationResult, _constants
 from tests.answers import answered
 
+# Of a repetition with ranks: what the chains and the model say of themselves.
+WELL = (True, True, 1.0, 5.0, 200.0, 400)
 
-def made_up(ranks: np.ndarray) -> CalibrationResult:
+
+def made_up(ranks):
     """The answer to ranks (n, 2) that are made up."""
-    found = tuple(
-        Repetition(
-            i, (1.0, 1.0), tuple(r), tuple((r + 0.5) / (N_DRAWS + 1)), True, True, 1.0, 5.0, 200.0, 400
-        )
-        for i, r in enumerate(ranks)
-    )
+    below = [tuple((r + 0.5) / (N_DRAWS + 1)) for r in ranks]
+    pairs = enumerate(zip(ranks, below, strict=True))
+    pairs = enumerate(zip(ranks, below, strict=True))
+    found = tuple(Repetition(i, (1.0, 1.0), tuple(r), b, *WELL) for i, (r, b) in pairs)
     statistics = rank_statistics(ranks, N_DRAWS + 1, np.random.default_rng(0))
-    return CalibrationResult(
-        seed=0,
-        specimen=cb.read_plate("A1"),
-        repetitions=found,
-        constants=tuple(_constants(("E1", "nu12"), np.array([r.below for r in found]), statistics)),
-        band=((0, 20),) * 20,
-    )
+    constants = tuple(_constants(("E1", "nu12"), np.array(below), statistics))
+    own = {"seed": 0, "specimen": cb.read_plate("A1"), "band": ((0, 20),) * 20}
+    return CalibrationResult(**own, repetitions=found, constants=constants)
 
 
-def test_intervals_that_are_too_narrow_are_flagged_and_right_ones_are_not() -> None:
+def test_intervals_that_are_too_narrow_are_flagged_and_right_ones_are_not():
     rng = np.random.default_rng(1)
     right = rng.integers(0, 100, 300)
     # truths that lie outside half of the draws: ranks at both ends
@@ -43,10 +40,9 @@ def test_intervals_that_are_too_narrow_are_flagged_and_right_ones_are_not() -> N
 
 @pytest.mark.slow
 @pytest.mark.weekly
-def test_the_answer_is_the_same_on_any_number_of_processes() -> None:
+def test_the_answer_is_the_same_on_any_number_of_processes():
     alone = answered("calibrate")
     shared = cb.calibrate("A1", 20, executor="processes", workers=2)
-    assert isinstance(alone, CalibrationResult)
     assert shared.repetitions == alone.repetitions
     document = json.loads(json.dumps(alone.to_dict(), allow_nan=False))
     assert set(document["constants"]) == {"E1_GPa", "nu12", "relative_std"}

@@ -15,31 +15,32 @@ from cpam_bayes.questions.new import MATERIALS, QUESTIONS
 from tests.plate_file import refused
 
 FULL = ("--size", "310", "228", "3.1", "--mass", "340.7", "--edges", "FFFF", "--frequencies", "80.2", "146.3")
-
 SHEET = ("--constants", "132", "9.1", "0.31", "4.8")
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "panel.toml"
 
 
 @pytest.mark.parametrize("material", MATERIALS)
 def test_a_file_of_a_plate_that_is_known_is_read_as_it_is(run, tmp_path, material):
-    path = tmp_path / "panel 12.toml"
+    path, kind = tmp_path / "panel 12.toml", MATERIALS[material]
     layup = () if material == "metal" else ("--layup", "[0/90]_s")
-    sheet = tuple(MATERIALS[material].constants.values())
-    status, out, err = run(
-        "new", path, *FULL, *layup, "--material", material, "--constants", *sheet, "--json"
-    )
+    sheet = ("--material", material, "--constants", *kind.constants.values())
+    status, out, err = run("new", path, *FULL, *layup, *sheet, "--json")
     assert (status, err) == (0, "")
     assert (json.loads(out)["path"], json.loads(out)["missing"]) == (str(path), [])
     specimen = cb.read_plate(path)
-    assert specimen.name == "panel 12"
-    assert (specimen.plate.length, specimen.plate.mass) == (0.31, 0.3407)
-    assert specimen.material.symmetry == MATERIALS[material].symmetry
+    plate, own = specimen.plate, specimen.material
+    assert (specimen.name, plate.length, plate.mass) == ("panel 12", 0.31, 0.3407)
+    assert own.symmetry == kind.symmetry
     assert specimen.measurement.frequencies.tolist() == [80.2, 146.3]
-    reference = specimen.material.complete()
+    assert list(specimen.unknowns.names) == list(own.constants)
     for parameter in specimen.unknowns.parameters:
-        assert parameter.prior.lower < reference[parameter.name] < parameter.prior.upper
-    assert [p.name for p in specimen.unknowns.parameters] == list(specimen.material.constants)
+        assert parameter.prior.lower < own.complete()[parameter.name] < parameter.prior.upper
     # nothing is stated of the plate that was not told
-    assert (specimen.air_density, specimen.sensors, dict(specimen.plate.sd)) == (None, (), {})
+    assert (specimen.air_density, specimen.sensors, dict(plate.sd)) == (None, (), {})
     assert "ten places" not in path.read_text(encoding="utf-8")
 
 
@@ -53,21 +54,19 @@ def test_a_file_of_a_plate_that_is_known_is_read_as_it_is(run, tmp_path, materia
 )
 def test_bounds_hold_the_constants_of_the_data_sheet(tmp_path, material, constants, bounds):
     path = tmp_path / "p.toml"
-    text = cb.new(
-        path, size_mm=(310, 228, 3), mass_g=340, layup=None if material == "metal" else "[0_8]", edges="FFFF",
-        material=material, constants=constants, frequencies_hz=(80, 146),
-    ).text  # fmt: skip
+    sheet = {"material": material, "constants": constants, "layup": None if material == "metal" else "[0_8]"}
+    known = {"size_mm": (310, 228, 3), "mass_g": 340, "edges": "FFFF", "frequencies_hz": (80, 146)}
+    text = cb.new(path, **known, **sheet).text
     unknowns = tomllib.loads(text)["unknowns"]
     assert {key: unknowns[key] for key in bounds} == bounds
     assert text.count("wider than usual") == 1
     cb.read_plate(path)
 
 
-def test_what_is_not_known_is_said_and_stands_in_comments_that_fill_the_gaps(tmp_path):
-    path = tmp_path / "panel.toml"
+def test_what_is_not_known_is_said_and_stands_in_comments_that_fill_the_gaps(path):
     new = cb.new(path)
     keys = [problem.partition(":")[0] for problem in new.to_dict()["missing"]]
-    of_plate = ("plate.length_mm", "plate.width_mm", "plate.thickness_mm", "plate.edges", "plate.layup")
+    of_plate = (f"plate.{key}" for key in ("length_mm", "width_mm", "thickness_mm", "edges", "layup"))
     of_material = (f"material.{key}" for key in MATERIALS["carbon"].constants)
     assert sorted(keys) == sorted(("plate", *of_plate, *of_material, "measurement"))
     with pytest.raises(PlateFileError) as caught:
@@ -82,25 +81,18 @@ def test_what_is_not_known_is_said_and_stands_in_comments_that_fill_the_gaps(tmp
     assert set(tomllib.loads(text)) >= {"plate", "material", "unknowns", "sensor", "measurement"}
     path.write_text(text, encoding="utf-8")
     specimen = cb.read_plate(path)
-    assert specimen.measurement.complete is False
-    assert specimen.plate.sd
+    assert (specimen.measurement.complete, bool(specimen.plate.sd)) == (False, True)
 
 
-@pytest.mark.parametrize(
-    ("argv", "said"),
-    [
+def test_what_is_wrong_is_refused_and_nothing_is_written(run, tmp_path):
+    for argv, said in (
         (("--edges", "FFFX"), "plate.edges: malformed"),
         (("--layup", "[0/9x]"), "plate.layup: malformed layup"),
         (("--frequencies", "200", "100"), "descending frequencies"),
         (("--table", "none.csv"), "no such file"),
-    ],
-)
-def test_what_is_wrong_is_refused_and_nothing_is_written(run, tmp_path, argv, said):
-    refused(run("new", tmp_path / "panel.toml", *argv), said)
-    assert list(tmp_path.iterdir()) == []
-
-
-# At a terminal
+    ):
+        refused(run("new", tmp_path / "panel.toml", *argv), said)
+        assert list(tmp_path.iterdir()) == []
 
 
 ANSWERS = (
@@ -112,13 +104,8 @@ ANSWERS = (
 class Terminal(io.StringIO):
     """Lines as they are typed."""
 
-    def isatty(self) -> bool:
+    def isatty(self):
         return True
-
-
-@pytest.fixture
-def path(tmp_path):
-    return tmp_path / "panel.toml"
 
 
 @pytest.fixture
@@ -138,27 +125,24 @@ def test_the_answers_are_the_plate_and_the_file_that_of_the_options(run, asked, 
     assert status == 0
     assert all(q.text in err and q.text not in out for q in QUESTIONS)
     read = cb.read_plate(path)
-    assert read.name == "panel"
-    assert (read.plate.length, read.plate.mass, read.plate.layup.n_plies) == (0.31, 0.3407, 8)
+    assert (read.name, read.plate.length, read.plate.mass) == ("panel", 0.31, 0.3407)
+    assert (read.plate.layup.n_plies, dict(read.plate.sd)) == (8, {"thickness": 2e-5})
     assert read.measurement.frequencies.tolist() == [80.2, 146.3, 218.6]
-    assert dict(read.plate.sd) == {"thickness": 2e-5}
     assert (read.sensors[0].mass, read.sensors[0].x, read.air_density) == (6e-4, 0.3, 1.2)
-    (tmp_path / "other").mkdir()
+    other = tmp_path / "other" / "panel.toml"
+    other.parent.mkdir()
     measured = ("--thickness-sd", "0.02", "--accelerometer", "0.6", "300", "220", "--air", "1.2")
     options = (*FULL, "218.6", "--material", "carbon", *SHEET, "--layup", "[0/90]_2s", *measured)
-    status, _, err = run("new", tmp_path / "other" / "panel.toml", *options)
+    status, _, err = run("new", other, *options)
     assert (status, err) == (0, "")
-    assert (tmp_path / "other" / "panel.toml").read_text("utf-8") == path.read_text("utf-8")
+    assert other.read_text("utf-8") == path.read_text("utf-8")
 
 
 # Wrong answers to a question and what is said of them.
-NUMBERS = "accepted: numbers with spaces"
+NUMBERS, SIZES = "accepted: numbers with spaces", "accepted: length, width and thickness"
+TYPED = ("80,146", "80,146,218", "80,2 146.3")
 WRONG = {
-    0: {
-        "310 by 228": NUMBERS,
-        "310 228": "accepted: length, width and thickness",
-        "3.1 2.2 310": "not a plate",
-    },
+    0: {"310 by 228": NUMBERS, "310 228": SIZES, "3.1 2.2 310": "not a plate"},
     1: {"1 2": "accepted: one number", "0.3407": "is the mass in kg?"},
     2: {"wood": "accepted: carbon glass"},
     3: {"132 9.1": "accepted: E1_GPa, E2_GPa, nu12 and G12_GPa", "9.1 132 0.31 4.8": "eq. (9)"},
@@ -168,10 +152,7 @@ WRONG = {
     7: {"0.6": "accepted: mass in g, x and y in mm", "0.6 400 220": "outside the plate"},
     8: {"perhaps": "accepted: yes or no"},
     9: {"none.csv": "no such file"},
-    10: {
-        **dict.fromkeys(("80,146", "80,146,218", "80,2 146.3"), NUMBERS),
-        "200 100": "descending frequencies",
-    },
+    10: {**dict.fromkeys(TYPED, NUMBERS), "200 100": "descending frequencies"},
 }
 
 
@@ -190,32 +171,25 @@ def test_what_cannot_be_is_asked_again_and_back_ends_at_the_first_question(asked
     status, _, err, _ = asked("<", *in_cm, "300 280 3", "680", "metal", "<", *ANSWERS[2:])
     assert status == 0
     assert "are the sizes in mm? (< goes back to the answer before)" in err
-    plate = cb.read_plate(path)
-    assert (plate.plate.thickness, plate.material.isotropic) == (0.003, False)
+    read = cb.read_plate(path)
+    assert (read.plate.thickness, read.material.isotropic) == (0.003, False)
 
 
 @pytest.mark.parametrize(
     "size", ["310 x 228 x 3.1", "310x228x3,1", "310 228 3,1", "310, 228, 3.1", "310;228;3.1"]
 )
-def test_numbers_are_read_as_they_are_written_by_hand_and_empty_lines_leave_all_open(
-    asked, path, tmp_path, size
-):
+def test_numbers_are_read_as_they_are_written_by_hand(asked, path, size):
     assert asked(size, "340,7", *[""] * 8, "80,2 146,3 218,6")[0] == 0
     read = tomllib.loads(path.read_text("utf-8"))
     sizes = [read["plate"][key] for key in ("length_mm", "width_mm", "thickness_mm", "mass_g")]
     assert sizes == [310.0, 228.0, 3.1, 340.7]
     assert read["measurement"]["frequencies_hz"] == [80.2, 146.3, 218.6]
-    path.unlink()
-    assert asked(*[""] * 11)[0] == 0
-    (tmp_path / "other").mkdir()
-    assert path.read_text("utf-8") == cb.new(tmp_path / "other" / "panel.toml").text
 
 
 def test_a_metal_has_no_layup_and_a_table_no_list(run, asked, path, tmp_path):
     (tmp_path / "modes.csv").write_text("mode;hz\n1;80,2\n2;146,3\n", encoding="utf-8")
     status, _, _, left = asked("300 280 3", "680", "Metal", "69 0.33", "FFFF", "", "", "no", "modes.csv", "")
-    assert status == 0
-    assert left == "\n", "the list is not asked for"
+    assert (status, left) == (0, "\n"), "the list is not asked for"
     plate = cb.read_plate(path)
     assert plate.material.isotropic
     assert plate.measurement.frequencies.tolist() == [80.2, 146.3]
@@ -225,10 +199,9 @@ def test_a_metal_has_no_layup_and_a_table_no_list(run, asked, path, tmp_path):
     assert run("new", path, *of_table, *metal)[0] == 0
     assert cb.read_plate(path).measurement.frequencies.tolist() == [80.2, 146.3]
     # where to hold and to hit is said as soon as the plate is known
-    size = cb.new(tmp_path / "size.toml", size_mm=(300, 200, 3))
+    assert cb.new(tmp_path / "size.toml", size_mm=(300, 200, 3)).handling is None
     sheet = {"material": "metal", "constants": (69.0, 0.33), "edges": "FFFF"}
     known = cb.new(tmp_path / "known.toml", size_mm=(300, 200, 3), mass_g=486, **sheet)
-    assert size.handling is None
     assert known.handling.sentence in known.summary().replace("\n  ", " ")
 
 
@@ -240,6 +213,11 @@ def test_an_end_of_the_answers_writes_nothing_and_a_script_is_asked_nothing(aske
         assert (status, err) == (0, "")
         assert left.startswith(ANSWERS[0])
         path.unlink()
+    # empty lines leave all open
+    assert asked(*[""] * 11)[0] == 0
+    text = path.read_text("utf-8")
+    path.unlink()
+    assert cb.new(path).text == text
 
 
 @pytest.mark.parametrize("argv", [(), FULL])

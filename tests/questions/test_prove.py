@@ -2,18 +2,16 @@
 
 import hashlib
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import cpam_bayes as cb
 from cpam_bayes.errors import PlateFileError
-from cpam_bayes.questions.prove import CoinResult
 from cpam_bayes.questions.prove.lists import given_twice
 from cpam_bayes.render.notices import sentence_of
 from cpam_bayes.render.terminal import plain_text
-from tests.plate_file import PLATE, Run
+from tests.plate_file import PLATE
 
 N = 8
 COIN = {"mass_g": 20.0, "x_mm": 60.0, "y_mm": 50.0}
@@ -22,55 +20,50 @@ DIGEST = hashlib.sha256(SEAL.encode()).hexdigest()
 
 
 @pytest.fixture(scope="module")
-def lists(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str, str]:
+def lists(tmp_path_factory):
     """The plate file, a table with the coin on it, a TOML file without, and the seal."""
-    folder = tmp_path_factory.mktemp("coin")
-    plate = PLATE.replace("density_kg_m3 = 2700.0", "mass_g = 680.4")
-    (folder / "bare.toml").write_text(plate, encoding="utf-8")
-    data = cb.read_plate(folder / "bare.toml")
-    bare = cb.forward(data, N).frequencies
-    loaded = plate + "\n[[sensor]]\n" + "\n".join(f"{k} = {v}" for k, v in COIN.items())
-    (folder / "loaded.toml").write_text(loaded, encoding="utf-8")
-    with_coin = cb.forward(folder / "loaded.toml", N).frequencies
-    rng = np.random.default_rng(0)
+    folder, rng = tmp_path_factory.mktemp("coin"), np.random.default_rng(0)
 
-    def noisy(f: np.ndarray) -> list[float]:
+    def written(name, text):
+        (folder / name).write_text(text, encoding="utf-8")
+        return str(folder / name)
+
+    def noisy(f):
         return [float(v) for v in np.round(f * (1 + 0.001 * rng.standard_normal(N)), 2)]
 
+    plate = PLATE.replace("density_kg_m3 = 2700.0", "mass_g = 680.4")
+    bare = cb.forward(written("bare.toml", plate), N).frequencies
+    loaded = plate + "\n[[sensor]]\n" + "\n".join(f"{k} = {v}" for k, v in COIN.items())
+    with_coin = cb.forward(written("loaded.toml", loaded), N).frequencies
+    written("seal.toml", SEAL)
     measured = f"\n[measurement]\nfrequencies_hz = {noisy(bare)}\nrelative_std = 0.001\n"
-    (folder / "plate.toml").write_text(plate + measured, encoding="utf-8")
     rows = "\n".join(f"{i},{f}" for i, f in enumerate(noisy(with_coin), 1))
-    (folder / "coin.csv").write_text(f"mode,hz\n{rows}\n", encoding="utf-8")
-    (folder / "none.toml").write_text(f"frequencies_hz = {noisy(bare)}\n", encoding="utf-8")
-    (folder / "seal.toml").write_text(SEAL, encoding="utf-8")
-    return folder, str(folder / "plate.toml"), str(folder / "coin.csv"), str(folder / "none.toml")
+    files = {"plate.toml": plate + measured, "coin.csv": f"mode,hz\n{rows}\n"}
+    files["none.toml"] = f"frequencies_hz = {noisy(bare)}\n"
+    return folder, *(written(name, text) for name, text in files.items())
 
 
 @pytest.fixture(scope="module")
-def result(lists: tuple[Path, str, str, str]) -> CoinResult:
+def result(lists):
     folder, plate, coin, none = lists
     return cb.prove(plate, coin, none, sealed=folder / "seal.toml", seed=1)
 
 
 @pytest.mark.slow
-def test_a_table_and_a_list_are_answered_and_the_seal_is_compared(result: CoinResult) -> None:
+def test_a_table_and_a_list_are_answered_and_the_seal_is_compared(result):
     document = result.to_dict()
     coin, none = document["coins"]
-    assert coin["finding"] == "mass added"
+    assert (coin["finding"], none["finding"], none["found_g"]) == ("mass added", "nothing added", None)
     assert coin["q025_g"] < 20.0 < coin["q975_g"]
     assert coin["distance_mm"] < 15.0
     assert coin["stated_g"] == pytest.approx(20.0)
     # 95 % of 8 shifts
     assert coin["shifts_inside"] >= 6
-    assert none["finding"] == "nothing added"
-    assert none["found_g"] is None
     assert document["coverage"] == {"mass": 1.0, "shifts": pytest.approx(1.0, abs=0.2)}
     assert 0.0 < document["detection_limit_g"] < 20.0
 
 
-def test_the_certificate_says_what_was_found_for_what_was_sealed_and_the_shifts(
-    result: CoinResult,
-) -> None:
+def test_the_certificate_says_what_was_found_for_what_was_sealed_and_the_shifts(result):
     # the second list is predicted from the first and the seal
     document = result.to_dict()
     rows = document["shifts"]
@@ -83,33 +76,29 @@ def test_the_certificate_says_what_was_found_for_what_was_sealed_and_the_shifts(
     low, high = document["repeatability"]
     assert low < 0.001 < high < 3.0 * low
     assert 0.0 < document["shift_error"] < 0.5
-    certificate = plain_text(result.report().sections[0].tables[0])
-    assert "repeatability, from the shifts" in certificate
+    certificate = result.report().sections[0].tables[0]
+    shown = plain_text(certificate)
+    assert "repeatability, from the shifts" in shown
     assert result.hash == document["hash"] == DIGEST
-    assert DIGEST in certificate
+    assert DIGEST in shown
     # what was found is said beside what was sealed, with its mirror images
     coin, none = (coin.found for coin in result.coins)
-    certificate = result.report().sections[0].tables[0]
     of_coin, of_none = (row[1] for row in certificate.rows if row[0] in ("coin.csv", "none.toml"))
     assert of_coin.startswith("In this laboratory, on this plate, ")
-    assert "was found for 20.0 g, " in of_coin
-    assert "Sealed at (60, 50) mm." in of_coin
-    assert len(coin.images) == 3
-    for x, y in coin.images:
-        assert f"({1e3 * x:.0f}, {1e3 * y:.0f})" in of_coin
+    images = [f"({1e3 * x:.0f}, {1e3 * y:.0f})" for x, y in coin.images]
+    assert len(images) == 3
+    assert all(part in of_coin for part in ("was found for 20.0 g, ", "Sealed at (60, 50) mm.", *images))
     assert "g or more was found for no mass; " in of_none
     assert "(0, 0)" not in of_none
     assert not none.images or "mirror" not in of_none
     single = replace(result, coins=result.coins[:1])
     (said,) = (line for line in single.report().summary.lines if "mirror images" in line)
-    assert f"({1e3 * coin.images[0][0]:.0f}, {1e3 * coin.images[0][1]:.0f})" in said
+    assert images[0] in said
 
 
 @pytest.mark.parametrize("quiet", [(), ("--quiet",)])  # without progress, not without the promise
-def test_the_hash_is_shown_before_the_work(
-    run: Run, lists: tuple[Path, str, str, str], monkeypatch: pytest.MonkeyPatch, quiet: tuple[str, ...]
-) -> None:
-    def begun(*args: object, **options: object) -> None:
+def test_the_hash_is_shown_before_the_work(run, lists, monkeypatch, quiet):
+    def begun(*args, **options):
         raise ValueError("the work has begun")
 
     monkeypatch.setattr("cpam_bayes.questions.prove.identify", begun)
@@ -133,9 +122,7 @@ NONE = "[[coin]]\nmass_g = 0\n"
         (None, "no such file, accepted: a sealed file"),
     ],
 )
-def test_a_seal_that_fits_no_list_is_refused_before_the_work_and_not_given_away(
-    lists: tuple[Path, str, str, str], tmp_path: Path, seal: str | None, said: str
-) -> None:
+def test_a_seal_that_fits_no_list_is_refused_before_the_work_and_not_given_away(lists, tmp_path, seal, said):
     _, plate, coin, none = lists
     if seal is not None:
         (tmp_path / "seal.toml").write_text(seal, encoding="utf-8")
@@ -145,31 +132,28 @@ def test_a_seal_that_fits_no_list_is_refused_before_the_work_and_not_given_away(
 
 
 @pytest.mark.slow
-def test_lists_that_cannot_be_compared_are_refused(lists: tuple[Path, str, str, str], tmp_path: Path) -> None:
+def test_lists_that_cannot_be_compared_are_refused(lists, tmp_path):
     _, plate, coin, _ = lists
-    seal = tmp_path / "seal.toml"
+    seal, specimen = tmp_path / "seal.toml", cb.read_plate(plate)
     seal.write_text(COIN_OF.format(7.25, 60), encoding="utf-8")
-    with pytest.raises(PlateFileError, match="a sealed file, accepted: a list; give it as --sealed") as error:
-        cb.prove(plate, coin, str(seal))
-    assert "7.25" not in str(error.value)
-    with pytest.raises(PlateFileError, match="the same modes in both"):
-        cb.prove(plate, [100.0, 200.0])
     # a plate model that is far off says nothing of a mass
-    specimen = cb.read_plate(plate)
     clamped = replace(specimen, plate=replace(specimen.plate, edges="CFFF"))
-    with pytest.raises(PlateFileError, match="% off the plate model, whose mode shapes"):
-        cb.prove(clamped, coin)
+    for own, other, said in (
+        (plate, str(seal), "a sealed file, accepted: a list; give it as --sealed"),
+        (plate, [100.0, 200.0], "the same modes in both"),
+        (clamped, coin, "% off the plate model, whose mode shapes"),
+    ):
+        with pytest.raises(PlateFileError, match=said) as error:
+            cb.prove(own, other)
+        assert "7.25" not in str(error.value)
 
 
-def test_a_list_that_is_given_twice_is_told(lists: tuple[Path, str, str, str]) -> None:
+def test_a_list_that_is_given_twice_is_told(lists):
     first = cb.read_plate(lists[1]).measurement
-    assert first is not None
     other = replace(first, frequencies=first.frequencies + 0.01)
     found = list(given_twice(first, [("a.csv", other), ("b.csv", first), ("c.csv", other)]))
-    assert [n.facts for n in found] == [
-        {"name": "b.csv", "before": "the first list"},
-        {"name": "c.csv", "before": "a.csv"},
-    ]
+    told = [(n.facts["name"], n.facts["before"]) for n in found]
+    assert told == [("b.csv", "the first list"), ("c.csv", "a.csv")]
     (same,) = given_twice(first, [("a.csv", other), ("a.csv", other)])
     assert same.facts == {"name": "a.csv", "before": "a.csv"}
     assert sentence_of(found[0]).startswith("The frequencies of b.csv are those of the first list")
