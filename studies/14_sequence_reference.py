@@ -39,6 +39,7 @@ from cpam_bayes.stacking.training import TrainingSettings, train
 from validation.nested import nested_of_scores
 from validation.reporting import (
     markdown_table,
+    paragraph,
     save_results,
     saved_results,
     study_parser,
@@ -338,7 +339,7 @@ def sections(results: Results) -> dict[str, str]:
     cases = [(c["case"], c["compared"]) for c in results["cases"]]
     if len(cases) > 1:
         cases.append(("all", [row for _, rows in cases for row in rows]))
-    head = ("list", "stacking sequences", "mean", "rms left", "at most")
+    head = ("list", "stacking sequences", "mean", "excess rms", "its upper limit")
     rows = (
         (
             name,
@@ -350,7 +351,14 @@ def sections(results: Results) -> dict[str, str]:
         for name, compared in cases
         for of in [summary(compared)]
     )
-    return {"errors": markdown_table(head, rows)}
+    table = markdown_table(head, rows)
+    every = summary(cases[-1][1])
+    if abs(every["mean"]) <= 2.0 * every["mean_error"]:
+        return {"errors": table}
+    return {
+        "errors": f"{table}\n\n"
+        + paragraph("A mean that all share cancels in the probabilities of sequences.")
+    }
 
 
 def main() -> None:
