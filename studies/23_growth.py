@@ -30,7 +30,6 @@ from validation.reporting import (
     counted,
     in_digits,
     listed,
-    markdown_table,
     paragraph,
     save_results,
     saved_results,
@@ -384,8 +383,9 @@ def _thousand(cluster: Sequence[Results]) -> str:
         f"{workers[-1]} workers and the network were not measured; more than about {b / own:.0f} would wait "
         f"for the process that hands out plates. {counted(THOUSAND)} plates by the model:"
     )
-    rows = [(str(n), f"{(a + b * THOUSAND / n) / 60.0:.0f}") for n in WORKERS if n < b / own]
-    return f"{paragraph(text)}\n\n{markdown_table(('workers', 'minutes'), rows)}"
+    able = [n for n in WORKERS if n < b / own]
+    minutes = listed([f"{(a + b * THOUSAND / n) / 60.0:.0f}" for n in able])
+    return paragraph(f"{text} {minutes} minutes on {listed(list(map(str, able)))} workers.")
 
 
 def show(results: Results) -> None:
