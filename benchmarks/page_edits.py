@@ -83,7 +83,7 @@ def served(plate: Path) -> Iterator[tuple[Page, int]]:
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     with tempfile.TemporaryDirectory() as folder:
         shutil.copy(plate, folder)
-        command = [sys.executable, "-m", "cpam_bayes", "app", folder, "--no-browser"]
+        command = [sys.executable, "-m", "cpam_bayes", "app", folder, "--no-browser", "--port", "0"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment, text=True) as server:
             assert server.stdout is not None
             try:
