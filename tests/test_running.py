@@ -85,7 +85,8 @@ def test_a_swarm_in_time_gives_the_same_and_late_ends_early_with_status_1_and_sa
     assert point.slips[0] == point.warnings[0]
     assert left_out(point) == {"cut_swarm": {"done": 0, "of": 400}, "cut_swarms": {"done": 1, "of": 3}}
     status, out, err = run("identify", "A1", "--quiet", "--time-limit", "1e-9")
-    assert (status, "warning: The time limit of 1e-09 s" in err) == (1, True)
+    assert status == 1
+    assert "warning: The time limit of 1e-09 s" in err
     assert "The time limit of 1e-09 s ended the work early" in out.splitlines()[1]
     status, out, err = run("sensitivity", "A1", "--quiet", "--executor", "serial", "--time-limit", "1e-9")
     assert (status, out) == (1, "")
@@ -111,14 +112,16 @@ def test_nothing_is_claimed_of_a_part_of_the_causes_and_others_are_named(run, pl
         listed = ", ".join(f"{f:.2f}" for f in plain * factors)
         plate = plate_file(("114, 167, 218, 289, 300, 497]", f"{listed}]\nrelative_std = 0.002"))
         status, out, _ = run("diagnose", plate, "--time-limit", AT_ONCE, "--executor", "serial")
-        assert (status, "time was up before every cause was tested" in out) == (1, True)
+        assert status == 1
+        assert "time was up before every cause was tested" in out
         with time_limit(AT_ONCE):
             answer = cb.diagnose(plate)
         assert (answer.claim, answer.reached_goal) == ("undecided", False)
         not_tested, missing = answer.diagnosis.weighed.not_tested, left_out(answer)
         assert len(not_tested) == missing["cut_hypotheses"]["count"] > 0
         assert all("time was up" in text for text in not_tested)
-        assert ("cut_gain" in missing, "thickness" in missing["cut_hypotheses"]["causes"]) == (True, True)
+        assert "cut_gain" in missing
+        assert "thickness" in missing["cut_hypotheses"]["causes"]
         tested = {t.hypothesis.cause for t in answer.diagnosis.weighed.tested}
         assert tested & {"none", "other", "thickness"} == {"none", "other"}
 
@@ -240,6 +243,7 @@ def test_a_stack_is_shared_out_but_by_workers_with_the_answer_of_a_thread(two_th
     found = running.matrix_by_matrix(counted, matrices)
     np.testing.assert_array_equal(found, np.linalg.eigvalsh(matrices))
     sizes, names = zip(*shares, strict=True)
-    assert (sorted(sizes), len(set(names)) > 1) == ([33, 34, 34], True)
+    assert sorted(sizes) == [33, 34, 34]
+    assert len(set(names)) > 1
     with pytest.raises(np.linalg.LinAlgError, match="no convergence"):
         running.matrix_by_matrix(fails_at_the_end, matrices)

@@ -109,7 +109,8 @@ def test_edges_are_reduced_by_the_symmetry_of_the_plate_and_navier_is_the_thin_p
     study = script("studies", AGREEMENT)
     mirrored, turned = study.distinct_edges(True), study.distinct_edges(False)
     # Burnside: (81 + 27 + 27 + 9) / 4 and (81 + 9) / 2 fixed combinations
-    assert (len(mirrored), len(turned), set(mirrored) <= set(turned)) == (36, 45, True)
+    assert (len(mirrored), len(turned)) == (36, 45)
+    assert set(mirrored) <= set(turned)
     assert study.edges_form("FCCF", True) == "CCFF"
     assert study.edges_form("FCCF", False) != study.edges_form("FFCC", False)
     study = script("studies", "01_first_light")

@@ -282,7 +282,8 @@ def test_what_is_wrong_with_a_list_has_no_size_and_a_cause_that_of_a_variant_tha
     gross = replace(sized.hypothesis, variant="gross", parameters=())
     first = replace(sized, hypothesis=gross, shift=None, probability=0.9)
     both = limits(replace(found, tested=(first, *found.tested)))["bent"]
-    assert (both.parameter, both.smallest is None) == (sized.hypothesis.parameters[0], False)
+    assert both.parameter == sized.hypothesis.parameters[0]
+    assert both.smallest is not None
 
 
 def test_a_cause_with_a_place_has_the_size_at_the_median_place(monkeypatch):

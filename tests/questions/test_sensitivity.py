@@ -158,7 +158,8 @@ def test_every_cause_is_told_with_its_number(study, cause, said):
     differs = Comparison(0.02, -4.0, 2.5, False, False, (cause,))
     (found,) = difference_sentences(rows_of(with_cell(study, cell(0.05, "rms", (AGREE, differs)))))
     begins = "5 % rms, nu12: means 4.0 standard errors apart and sd 2.5 times the posterior's"
-    assert (found.startswith(begins), said in found) == (True, True)
+    assert found.startswith(begins)
+    assert said in found
 
 
 def misfit(study):

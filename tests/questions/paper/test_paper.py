@@ -48,7 +48,8 @@ def test_the_first_screen_holds_the_rows_of_the_table_and_misfits_and_figures_ar
     assert all(m["objective"] >= m["our_objective"] for m in misfits)
     assert document["tables"][0]["percentages"]["does not follow"] == 1
     (row,) = (r for r in document["rows"] if r["quantity"] == "E1_GPa" and r["source"] == "CPAM")
-    assert (row["printed"], row["q025"] < row["q975"]) == (72.6, True)
+    assert row["printed"] == 72.6
+    assert row["q025"] < row["q975"]
     json.dumps(document, allow_nan=False)
     assert (list(aluminium[0].figures()), cb.paper(2).figures()) == (["differences", "misfits"], {})
 
@@ -279,7 +280,8 @@ def test_two_constants_that_all_frequencies_see_alike_are_ill_conditioned(freque
         well_posed(cb.identify(isotropic(frequencies, E1_GPa=[50.0, 90.0], **more)).estimate)
         for more in ({}, {"nu12": [0.1, 0.45]})
     )
-    assert (both["rank"], both["condition"] > 2.0) == (2, True)
+    assert both["rank"] == 2
+    assert both["condition"] > 2.0
     assert both["percent_per_percent"]["E1_GPa"] > alone["percent_per_percent"]["E1_GPa"]
 
 
