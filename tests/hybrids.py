@@ -17,6 +17,8 @@ HYBRID: dict[str, Any] = {
     "material": {"carbon": {**CARBON, "name": "carbon/epoxy"}, "glass": GLASS},
 }
 
+UNKNOWNS = {"carbon": {"E1_GPa": [80.0, 180.0], "E2_GPa": [5.0, 16.0]}, "glass": {"E1_GPa": [20.0, 60.0]}}
+
 
 def hybrid(**plate: Any) -> dict[str, Any]:
     """The hybrid plate with other keys in [plate]."""

@@ -1,11 +1,5 @@
 """Plate files of the tests: an aluminium plate with its list, a bar, any as a mapping; and a refusal."""
 
-from collections.abc import Callable
-
-# The fixtures `run` and `plate_file`.
-Run = Callable[..., tuple[object, str, str]]
-Write = Callable[..., str]
-
 PLATE = """\
 name = "plate 7"
 
@@ -44,13 +38,16 @@ E1_GPa = 69
 nu12 = 0.33
 """
 OF_TABLE = f"{BAR}[measurement]\n"
+# The data sheet of a unidirectional carbon/epoxy, and how far a batch may be from it.
+SHEET = {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8}
+SHEET_SD = {"E1_GPa": 9.0, "E2_GPa": 0.6, "nu12": 0.02, "G12_GPa": 0.3}
 
 
 def described(size_mm, density_kg_m3, material, *, layup="[0]", edges="FFFF", **tables):
     """A plate file as a mapping; tables : what stands in it beside [plate] and [material]."""
     sizes = dict(zip(("length_mm", "width_mm", "thickness_mm"), size_mm, strict=True))
     plate = {**sizes, "density_kg_m3": density_kg_m3, "layup": layup, "edges": edges}
-    return {"name": "plate", "plate": plate, "material": material, **tables}
+    return {"name": "plate", "plate": plate, "material": {**material}, **tables}
 
 
 def refused(answer: tuple[object, str, str], *fragments: str) -> None:

@@ -134,7 +134,7 @@ def _is_number(text: str) -> bool:
 
 
 # Standard deviation of normal values over the median range of two of them; limits in standard deviations.
-_OF_MEDIAN_RANGE, _SIGMAS = 1.0484, 3.0
+OF_MEDIAN_RANGE, SIGMAS = 1.0484, 3.0
 LEAST_PLATES: Final = 3
 
 
@@ -153,7 +153,7 @@ class ControlChart:
     @property
     def limits(self) -> tuple[float, float]:
         """Median - 3 sigma and median + 3 sigma."""
-        return self.median - _SIGMAS * self.sigma, self.median + _SIGMAS * self.sigma
+        return self.median - SIGMAS * self.sigma, self.median + SIGMAS * self.sigma
 
 
 def control_chart(values: Sequence[float]) -> ControlChart | None:
@@ -168,6 +168,6 @@ def control_chart(values: Sequence[float]) -> ControlChart | None:
     ranges = np.abs(np.diff(x))
     # more than half of the neighbours are equal
     typical = float(np.median(ranges)) or float(ranges.mean())
-    median, sigma = float(np.median(x)), _OF_MEDIAN_RANGE * typical
-    outside = np.flatnonzero(np.abs(x - median) > _SIGMAS * sigma)
+    median, sigma = float(np.median(x)), OF_MEDIAN_RANGE * typical
+    outside = np.flatnonzero(np.abs(x - median) > SIGMAS * sigma)
     return ControlChart(median, sigma, tuple(int(i) for i in outside))

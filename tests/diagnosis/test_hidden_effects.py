@@ -24,7 +24,7 @@ from cpam_bayes.questions.diagnose import diagnosis_result
 from cpam_bayes.questions.diagnose.claim import scale_errors_of
 from cpam_bayes.questions.diagnose.document import answer_constants
 from tests.diagnosed import diagnosed
-from tests.hybrids import HYBRID
+from tests.hybrids import HYBRID, UNKNOWNS
 from tests.plate_file import PLATE
 from validation.independent import lists
 from validation.independent.lists import NominalPlate
@@ -270,7 +270,6 @@ def test_all_commands_say_the_same_of_an_error_of_a_size():
                 assert np.isclose(other.shift[constant], one.shift[constant], rtol=0.02, atol=0.02)
 
 
-UNKNOWNS = {"carbon": {"E1_GPa": [80.0, 180.0], "E2_GPa": [5.0, 16.0]}, "glass": {"E1_GPa": [20.0, 60.0]}}
 NOISE = 0.001
 # One draw of the noise, in its own unit.
 DRAWN = np.array([0.4, -1.1, 0.2, 0.9, -0.5, 0.1, -0.3, 1.2, -0.7, 0.6])

@@ -17,7 +17,7 @@ from cpam_bayes.effects.geometry import OUTLINE, _cut
 from cpam_bayes.effects.masses import EDGE_MASS
 from cpam_bayes.plate.layup import parse_layup
 from tests.effects.cases import BY_NAME, SUPPORTED, bare, facts, facts_of, frequencies
-from tests.plate_file import described
+from tests.plate_file import SHEET, described
 from tests.plates import plate
 from validation.independent import elements, true_plate
 from validation.independent.true_plate import Mass, Patch, TruePlate, natural_frequencies
@@ -242,19 +242,18 @@ def test_pads_shift_as_square_blocks_do_on_independent_elements():
 
 # Places that no frequency tells apart, of a mass
 PLACE = (0.83, 0.62)
-CARBON = {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8}
 METAL = {"E1_GPa": 70.0, "nu12": 0.33}
 
 
 def specimen(layup, edges, width=200.0):
     """A metal plate where there is no layup."""
-    constants, of = (CARBON, {"layup": layup}) if layup else ({**METAL, "isotropic": True}, {})
+    constants, of = (SHEET, {"layup": layup}) if layup else ({**METAL, "isotropic": True}, {})
     return cb.read_plate(described((200.0, width, 2.0), 1600.0, constants, edges=edges, **of))
 
 
 def with_mass(bare, place):
     """Of independent elements with a mass of 6 g at a place over the sides."""
-    of, stated = bare.plate, METAL if bare.material.isotropic else CARBON
+    of, stated = bare.plate, METAL if bare.material.isotropic else SHEET
     angles = tuple(of.layup.angles_deg.tolist())
     constants = {n.removesuffix("_GPa"): v * (1e9 if "GPa" in n else 1.0) for n, v in stated.items()}
     mass = Mass(0.006, place[0] * of.length, place[1] * of.width)

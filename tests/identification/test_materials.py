@@ -8,7 +8,7 @@ import pytest
 import cpam_bayes as cb
 from cpam_bayes.inference.swarm import material_swarm
 from cpam_bayes.stacking.symmetry import plate_symmetries
-from tests.hybrids import HYBRID, hybrid
+from tests.hybrids import HYBRID, UNKNOWNS, hybrid
 from tests.plate_file import described
 
 # Frequencies of tests.hybrids.HYBRID at these constants, GPa: the reference is another.
@@ -19,9 +19,6 @@ def set_truth(plate):
     for name, value in TRUTH.items():
         material, constant = name.split(".")
         plate["material"][material] = {**plate["material"][material], f"{constant}_GPa": value}
-
-
-UNKNOWNS = {"carbon": {"E1_GPa": [80.0, 180.0], "E2_GPa": [5.0, 16.0]}, "glass": {"E1_GPa": [20.0, 60.0]}}
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from cpam_bayes.parameters import TruncatedLogNormal, TruncatedNormal, Uniform
 from cpam_bayes.plate import parse_specimen
 from cpam_bayes.render.sentences import determined_text, references_said
 from tests.diagnosed import diagnosed
-from tests.plate_file import MEASURED, PLATE, described
+from tests.plate_file import MEASURED, PLATE, SHEET, SHEET_SD, described
 
 PANEL = str(Path(__file__).parents[2] / "examples" / "panel.toml")
 # The constants that the list of the panel was made with.
@@ -123,8 +123,7 @@ def test_a_prior_that_counts_is_called_by_where_it_is_from():
 def of_another_material(**changes):
     """The panel's geometry, E1 of 55 GPa, and the data sheet of a stiffer material."""
     truth = {"E1_GPa": 55.0, "E2_GPa": 9.4, "nu12": 0.3, "G12_GPa": 4.7}
-    sheet = {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8, **changes}
-    sd = {"E1_GPa": 9.0, "E2_GPa": 0.6, "nu12": 0.02, "G12_GPa": 0.3}
+    sheet = {**SHEET, **changes}
     bounds = {"E1_GPa": [30.0, 200.0], "E2_GPa": [3.0, 20.0], "nu12": [0.1, 0.49], "G12_GPa": [1.5, 10]}
     plate = described((310.0, 228.0, 3.1), 1600.0, truth, layup="[0_8]", unknowns=bounds)
     del plate["plate"]["density_kg_m3"]  # it was weighed
@@ -132,7 +131,7 @@ def of_another_material(**changes):
     noise = 1.0 + 0.002 * np.random.default_rng(0).standard_normal(10)
     listed = np.round(cb.forward(plate, 10).frequencies * noise, 2).tolist()
     measured = {"frequencies_hz": listed, "relative_std": 0.002}
-    return {**plate, "material": {**sheet, "sd": sd}, "measurement": measured}
+    return {**plate, "material": {**sheet, "sd": {**SHEET_SD}}, "measurement": measured}
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from cpam_bayes.mechanics.modes import solve
 from cpam_bayes.mechanics.problem import Problem, Values
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
 from cpam_bayes.plate import read_plate, read_specimen
-from tests.plate_file import described
+from tests.plate_file import SHEET, SHEET_SD, described
 from tests.plates import ANGLE_PLY_16S, CARBON, CROSS_PLY_16S, GLASS, plate
 
 # The least that an estimate is asked to tell: frequencies are printed with five or six digits.
@@ -175,8 +175,7 @@ def test_convergence_is_the_same_on_every_run() -> None:
 
 def test_rounding_of_a_very_thin_plate_is_no_slip_of_its_thickness() -> None:
     """A coarser space may not tell its rigid-body motions from bending: it is not taken."""
-    sd = {"E1_GPa": 9.0, "E2_GPa": 0.6, "nu12": 0.02, "G12_GPa": 0.3}
-    material = {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8, "sd": sd}
+    material = {**SHEET, "sd": SHEET_SD}
     unknowns = {"E1_GPa": [30, 200], "E2_GPa": [3, 20], "nu12": [0.1, 0.49], "G12_GPa": [1.5, 10]}
     unknowns["angle_grid_deg"] = 90
     one = read_plate(described((310.0, 228.0, 1.0), 1590.0, material, layup="[?_8]", unknowns=unknowns))

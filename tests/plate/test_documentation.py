@@ -17,7 +17,7 @@ from scipy.io import wavfile
 import cpam_bayes as cb
 from cpam_bayes.plate.schema import PlateFile
 from tests.hybrids import HYBRID
-from tests.plate_file import described
+from tests.plate_file import SHEET, described
 from tests.posteriors import write_posterior
 from tests.universal import grid, mode_55, nodes_15
 from validation.recorded_hits import RATE, Faults, recorded_hits
@@ -29,7 +29,7 @@ UNITS = {"mm": "mm", "g": "g", "m3": "kg/m³", "GPa": "GPa", "hz": "Hz", "deg": 
 FILE = described(
     (310.0, 228.0, 3.1),
     1555.0,
-    {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8, "G13_GPa": 4.8, "G23_GPa": 3.2},
+    {**SHEET, "G13_GPa": 4.8, "G23_GPa": 3.2},
     layup="[(0/90)_8]_s",
     unknowns={"nu12": {"mean": 0.31, "sd": 0.03, "bounds": [0.15, 0.45]}},
     sensor=[{"mass_g": 1.0, "x_mm": 10.0, "y_mm": 10.0}],

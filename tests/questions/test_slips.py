@@ -12,13 +12,12 @@ from cpam_bayes.questions.identify import slips
 from cpam_bayes.questions.identify.slips import Slip, corrected_file, explaining_slips
 from tests.batches.plates import N_MODES, plate, written
 from tests.hybrids import hybrid
-from tests.plate_file import described
+from tests.plate_file import SHEET, described
 
 NOISE, SLOW = 0.001, pytest.mark.slow
 LIGHT, HEAVY = ({"mass_g": g, "x_mm": x, "y_mm": y} for g, x, y in ((12.0, 260.0, 60.0), (60.0, 40.0, 200.0)))
-CARBON = {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8}
 UNKNOWNS = {"E1_GPa": [80.0, 200.0], "E2_GPa": [5.0, 16.0], "nu12": [0.15, 0.45], "G12_GPa": [2.5, 10.0]}
-PLATE = described((310.0, 228.0, 3.1), 1550.0, CARBON, layup="[0_8]", unknowns=UNKNOWNS) | {"name": "p"}
+PLATE = described((310.0, 228.0, 3.1), 1550.0, SHEET, layup="[0_8]", unknowns=UNKNOWNS) | {"name": "p"}
 
 
 def stated(frequencies, **plate):

@@ -28,12 +28,10 @@ from cpam_bayes.stacking.search import noisier_seeds
 from cpam_bayes.stacking.symmetry import all_sequences, classes, members
 from cpam_bayes.stacking.training import TrainingSettings
 from tests.hybrids import hybrid
-from tests.plate_file import described
+from tests.plate_file import SHEET, described
 from tests.stacking.cases import TRUE, listed, unknown_plate, with_layup
 
 QUICK = StackingSettings(draws=50, listed=72, log2_points=7)
-# Constants of a data sheet.
-SHEET = {"E1_GPa": 132.0, "E2_GPa": 9.1, "nu12": 0.31, "G12_GPa": 4.8}
 
 
 @pytest.fixture(scope="module")

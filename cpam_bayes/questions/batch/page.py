@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from cpam_bayes.answer import Verdict
+from cpam_bayes.batches.limits import OF_MEDIAN_RANGE, SIGMAS
 from cpam_bayes.batches.plate_row import PlateRow, RowConstant
 from cpam_bayes.batches.population import LEAST_PLATES, Population, PopulationConstant
 from cpam_bayes.formatting import listed, significant, with_spread
@@ -145,8 +146,8 @@ def _computation(result: BatchResult) -> Table:
         ("limits", "by Laplace's approximation of the posterior"),
         ("models", f"{result.models} for {len(result.rows)} plates: a list is carried to the sizes of the "
          "first plate of its geometry"),
-        ("control limits", "median +- 3 sd, the sd 1.048 times the median moving range of neighbours in the "
-         "list, which a few bad plates do not widen"),
+        ("control limits", f"median +- {SIGMAS:g} sd, the sd {OF_MEDIAN_RANGE:.4g} times the median moving "
+         "range of neighbours in the list, which a few bad plates do not widen"),
     ]  # fmt: skip
     if result.population is not None:
         rows.append(
