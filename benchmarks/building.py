@@ -1,4 +1,4 @@
-"""Our models of a case: built in a process of its own, which tells its time and memory.
+"""Build our models of a case in a separate process, which reports its time and memory.
 
 python -m benchmarks.building CASE [--quick]
 """
@@ -33,9 +33,8 @@ _ROOT = Path(__file__).resolve().parent.parent
 class Ours:
     """Our models of a case.
 
-    x : (STACK, n_parameters), the reference plate and admissible sets all over the prior box.
-    seconds, peak_mib : what building them took; the memory is ``None`` where the system does not
-    tell it.
+    x : (STACK, n_parameters), the reference plate and admissible sets from all over the prior box.
+    seconds, peak_mib : cost of building them; the memory is ``None`` where the system does not report it.
     """
 
     case: Case
@@ -51,7 +50,7 @@ class Ours:
 
 
 def prepare(case: Case, quick: bool) -> Ours:
-    """Build the models of a case in another process, to see what it takes, and here."""
+    """Build the models of a case in another process, to measure the cost, and then in this one."""
     built = _built_elsewhere(case, quick)
     reduced = _reduced(case, quick)
     drawn = training_sets(reduced.full.operator.problem, STACK - 1, np.random.default_rng(7))
@@ -85,7 +84,7 @@ def _built_elsewhere(case: Case, quick: bool) -> dict[str, Any]:
 
 
 def _peak_memory() -> float | None:
-    """Largest resident memory of this program so far, MiB; what its parent once held is not in it."""
+    """Largest resident memory of this program so far, MiB, without what its parent once held."""
     status = Path("/proc/self/status")
     if not status.exists():
         return None
@@ -94,7 +93,7 @@ def _peak_memory() -> float | None:
 
 
 def main() -> None:
-    """Build the models of one case and print what it took."""
+    """Build the models of one case and print their cost."""
     parser = argparse.ArgumentParser(description="Build the models of a case, print its time and memory.")
     parser.add_argument("case", choices=[case.name for case in CASES])
     parser.add_argument("--quick", action="store_true")

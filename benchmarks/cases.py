@@ -1,4 +1,4 @@
-"""The plates that are timed, and the frequencies that every solver is compared with."""
+"""The plates that are timed, and the frequencies with which every solver is compared."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cpam_bayes.plate.laminate import ENERGY_CONSISTENT, FIVE_SIXTHS, ShearModel
 
 Array = NDArray[np.float64]
 
-# Frequencies that independent solvers agree upon with A_s = 5/6 of the ply moduli, Hz.
+# Frequencies on which independent solvers agree with A_s = 5/6 of the ply moduli, Hz.
 REFERENCE = {
     "C1": (100.366, 298.584, 324.574, 360.347, 381.139, 600.611),
     "D1": (
@@ -25,14 +25,14 @@ REFERENCE = {
         *(6775.498, 8143.114, 8273.099, 8849.348, 9154.067),
     ),
 }
-# How many of their digits are known.
+# Relative accuracy to which they are known.
 _REFERENCE_DIGITS = 1e-5
 _RICH = Tolerance(kept=1e-5, rich=3e-6, largest_degree=30)
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A plate, its number of modes and what varies of it.
+    """A plate, its number of modes and what varies in it.
 
     any_layup : all ply angles are unknown. mass : kg, in the corner x = length, y = width.
     """
@@ -45,7 +45,7 @@ class Case:
 
     @property
     def is_bare(self) -> bool:
-        """Whether it is a plate of the paper as it stands, which other solvers are given too."""
+        """Whether it is a plate of the paper as it stands, which the other solvers are given too."""
         return self.name == self.plate
 
     def specimen(self) -> Specimen:
@@ -75,7 +75,7 @@ CASES = (
 class Converged:
     """Frequencies of a rich space, (n_modes,) Hz, and their largest relative error.
 
-    energy_consistent, five_sixths : by how the transverse shear stiffness follows from the plies.
+    energy_consistent, five_sixths : by the derivation of the transverse shear stiffness from the plies.
     """
 
     energy_consistent: Array
@@ -86,7 +86,7 @@ class Converged:
 def converged(case: Case) -> Converged:
     """Converged frequencies of the reference plate.
 
-    Raises ``RuntimeError`` where they are not those that independent solvers agree upon.
+    Raises ``RuntimeError`` where they differ from those on which independent solvers agree.
     """
     consistent, consistent_error = _rich(case, ENERGY_CONSISTENT)
     uniform, uniform_error = _rich(case, FIVE_SIXTHS)
@@ -111,7 +111,7 @@ def worst_error(frequencies: Array, reference: Array) -> float:
 
 
 def parameters(specimen: Specimen) -> ParameterSet:
-    """All that is unknown of a specimen: its constants and its angles."""
+    """All unknowns of a specimen: its constants and its angles."""
     return specimen.unknowns.union(angle_parameters(specimen))
 
 

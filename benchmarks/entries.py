@@ -1,4 +1,4 @@
-"""What is timed: our solvers and LAPACK alone on the same sizes, and the other solvers."""
+"""Timed entries: our solvers, LAPACK alone on matrices of the same sizes, and the other solvers."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ POLYNOMIAL = "polynomial Ritz"
 
 # Enough for classical theory, whose own error is far larger.
 _CLPT_DEGREE = 10
-# Elements in the plane. S8R on D1 does not reach the accuracy at any number, for want of a shear
-# correction, hence bricks.
+# Elements in the plane. S8R lacks a shear correction and does not reach the accuracy on D1 with any number
+# of elements, hence the bricks.
 _SHELLS = {"C1": 160, "D1": 144}
 _BRICKS = {"D1": 320}
 _QUICK_SHELLS = 16
@@ -35,7 +35,7 @@ _QUICK_SHELLS = 16
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """What is timed: a call that solves ``sets`` parameter sets, its worst error, its unknowns."""
+    """A timed call that solves ``sets`` parameter sets, with its worst error and its number of unknowns."""
 
     case: str
     solver: str
@@ -56,7 +56,7 @@ class Entry:
 
 
 def our_entries(ours: Ours, known: Converged) -> list[Entry]:
-    """Our solvers on a case; errors are those at the reference plate."""
+    """Our solvers on a case, with their errors at the reference plate."""
     name, full, reduced = ours.case.name, ours.full, ours.reduced
     x, one = ours.x, ours.x[:1]
     error, few_error = (
@@ -74,19 +74,19 @@ def our_entries(ours: Ours, known: Converged) -> list[Entry]:
 
 
 def _sizes(model: PlateModel) -> str:
-    """Sizes of the blocks; those of a few rigid-body motions cost nothing and are left out."""
+    """Sizes of the blocks, without the tiny ones of a few rigid-body motions."""
     return "+".join(str(block.size) for block in model.operator.blocks if block.size > 4)
 
 
 def _lapack(model: PlateModel, x: Array) -> Call:
-    """Eigenvalues of the model's own matrices, once assembled: what no arrangement of ours goes below."""
+    """Eigenvalues of the model's own assembled matrices: a lower bound for any arrangement of ours."""
     stiffness, _ = model.coefficients(x)
     stacks = [block.dense().stiffness.assemble(stiffness) for block in model.operator.blocks]
     return lambda: [np.linalg.eigvalsh(stack) for stack in stacks]
 
 
 def peer_entries(case: Case, known: Converged, accuracy: float, quick: bool) -> list[Entry]:
-    """The other solvers on a plate, each as small as reaches the accuracy."""
+    """The other solvers on a plate, each at the smallest size that reaches the accuracy."""
     name, n, specimen = case.name, case.n_modes, case.known()
     state = plate_problem(specimen, shear=FIVE_SIXTHS).nominal
     reference = known.five_sixths
@@ -136,7 +136,7 @@ def _calculix_call(specimen: Specimen, element: Any, count: int, n: int) -> Call
 
 
 def _meshes(specimen: Specimen) -> list[tuple[int, int]]:
-    """Elements along x and y, from about square to half again as long or wide, fewest first."""
+    """Numbers of elements along x and y with aspect ratios from 0.7 to 1.3, fewest elements first."""
     aspect = specimen.plate.length / specimen.plate.width
     found = {
         (max(4, round(ny * aspect * stretch)), ny)

@@ -28,13 +28,13 @@ from cpam_bayes.running import single_blas_thread
 
 Results = dict[str, Any]
 
-# What a peer has to reach, relative error of the worst frequency; coarse ones do in a quick run.
+# Accuracy that a peer has to reach, relative error of the worst frequency; coarse ones do in a quick run.
 ACCURACY, QUICK_ACCURACY = 1e-3, 1e-2
 
 
 @single_blas_thread
 def run(quick: bool = False, rounds: int | None = None) -> Results:
-    """Time all that is installed; benchmarks/README.md says what the keys of the results mean."""
+    """Time all installed solvers; benchmarks/README.md says what the keys of the results mean."""
     cases = CASES[:1] if quick else CASES
     accuracy = QUICK_ACCURACY if quick else ACCURACY
     rounds = rounds or (2 if quick else 9)
@@ -49,7 +49,7 @@ def run(quick: bool = False, rounds: int | None = None) -> Results:
     timed = interleaved(calls, rounds, shortest=0.002 if quick else 0.01)
     building = [_building(one) for one in ours]
     times = {entry.key: timed[entry.key] / entry.sets for entry in entries}
-    # against coarse peers they would say nothing
+    # against coarse peers the ratios would mean nothing
     targets = [] if quick else [t for case in cases for t in speeds(case, entries, times, accuracy)]
     for one in [] if quick else building:
         targets += models(one["case"], one["reduction_error"], one["seconds"], one["peak_mib"])
@@ -115,7 +115,7 @@ def _row(entry: Entry, times: Mapping[tuple[str, str], Array]) -> Results:
 
 
 def tables(results: Results) -> tuple[Table, ...]:
-    """Results of ``run`` as a reader wants them."""
+    """Tables of the results of ``run``."""
     rows = tuple(
         (
             row["case"],

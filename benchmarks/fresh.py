@@ -1,4 +1,4 @@
-"""A command of this package in a process of its own, with an empty cache: its time and its memory."""
+"""Time and memory of a command of this package in a process of its own with an empty cache."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-# Seconds between two looks at a process and its workers.
+# Interval between samples of a process and its workers, s.
 _LOOK = 0.1
 _PAGE = os.sysconf("SC_PAGE_SIZE") / 2**30 if hasattr(os, "sysconf") else 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Wait:
-    """What a command took.
+    """Cost and outcome of a command.
 
     Parameters
     ----------
     seconds : float
-        Wall clock; the limit where the command was stopped there.
+        Wall clock; the limit if the command was stopped there.
     processor_seconds : float or None
-        Of the process and its workers; ``None`` where it was stopped.
+        Of the process and its workers; ``None`` if it was stopped.
     peak_gib : float
-        The largest resident memory of the process and its workers together; pages that they share are
-        counted once for each.
+        Largest resident memory of the process and its workers together; pages that they share are counted
+        once for each.
     exit_status : int or None
-        ``None`` where it was stopped at the limit.
+        ``None`` if it was stopped at the limit.
     document : dict or None
-        What it printed with ``--json``.
+        Its output with ``--json``.
     """
 
     seconds: float
@@ -49,9 +49,9 @@ class Wait:
 def waited(
     module: str, arguments: Sequence[str], tree: Path, limit: float, *, inside: Path | None = None
 ) -> Wait:
-    """Run ``python -m module`` of a tree from nothing, for ``limit`` seconds at most.
+    """Run ``python -m module`` of a tree with an empty cache, for ``limit`` seconds at most.
 
-    inside : where it runs, an empty directory if ``None``
+    inside : working directory, an empty one if ``None``
     """
     with tempfile.TemporaryDirectory() as folder:
         cache, working = (Path(folder) / name for name in ("cache", "working"))
@@ -61,7 +61,7 @@ def waited(
             **os.environ,
             "PYTHONPATH": str(tree.resolve()),
             "CPAM_BAYES_CACHE": str(cache),
-            # what a command that is stopped leaves goes with the folder
+            # files that a stopped command leaves behind go with the folder
             "TMPDIR": folder,
         }
         with (Path(folder) / "printed").open("w+b") as printed:
@@ -85,13 +85,13 @@ def waited(
 
 
 def _watched(process: subprocess.Popen[bytes], end: float) -> tuple[int | None, float | None, float]:
-    """Exit status, processor's seconds and largest memory; no status where the time was up."""
+    """Exit status, processor time and largest memory; no status if the time was up."""
     peak = 0.0
     while True:
         found, raw, usage = os.wait4(process.pid, os.WNOHANG)
         if found:
             process.returncode = os.waitstatus_to_exitcode(raw)
-            # of the largest process alone: what a short one held between two looks
+            # of the largest process alone: the memory of a process too short for the samples
             largest = usage.ru_maxrss / (2**20 if sys.platform != "darwin" else 2**30)
             return process.returncode, usage.ru_utime + usage.ru_stime, max(peak, largest)
         if time.perf_counter() > end:
@@ -101,7 +101,7 @@ def _watched(process: subprocess.Popen[bytes], end: float) -> tuple[int | None, 
 
 
 def _stop(process: subprocess.Popen[bytes]) -> None:
-    """End what is left of a process and its workers, all in a session of their own."""
+    """Kill what is left of a process and its workers, all in a session of their own."""
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     if process.returncode is None:
@@ -109,7 +109,7 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
 
 
 def _of_session(session: int) -> list[int]:
-    """Processes of a session: pid (name) state parent group session ..., see proc(5)."""
+    """Process ids of a session; the stat file has pid (name) state parent group session ..., see proc(5)."""
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError, IndexError):

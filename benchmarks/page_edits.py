@@ -25,7 +25,7 @@ import httpx
 from cpam_bayes.plate import read_plate
 
 ROOT = Path(__file__).parents[1]
-# Seconds after which an edit counts as not answered, and those after which another one follows.
+# Seconds after which an edit counts as unanswered, and pause before the next one.
 _PATIENCE, _REST = 30.0, 0.3
 
 
@@ -39,7 +39,7 @@ class Page:
         self.wait(0)
 
     def edit(self, **change: Any) -> int:
-        """Change the plate file; the version of the page then."""
+        """Change the plate file and return the page's version after it."""
         answer = self.client.post(f"{self.visit}/edit", json={"structure": -1, **change})
         return int(answer.raise_for_status().json().get("version", 0))
 
@@ -55,7 +55,7 @@ class Page:
         raise TimeoutError(f"no live answer within {_PATIENCE:g} s")
 
     def timed(self, n: int, change: Callable[[int], dict[str, Any]]) -> list[float]:
-        """Seconds of n edits."""
+        """Seconds of each of n edits."""
         seconds = []
         for i in range(n):
             begin = time.perf_counter()
@@ -66,7 +66,7 @@ class Page:
 
 
 def resident_mib(parent: int) -> float:
-    """Memory of a process and of all that it began, MiB."""
+    """Memory of a process and its descendants, MiB."""
     lines = subprocess.run(["ps", "-e", "-o", "pid=,ppid=,rss="], capture_output=True, text=True, check=True)
     rows = [tuple(map(int, line.split())) for line in lines.stdout.splitlines()]
     family, grown = {parent}, True
@@ -79,7 +79,7 @@ def resident_mib(parent: int) -> float:
 
 @contextmanager
 def served(plate: Path) -> Iterator[tuple[Page, int]]:
-    """A page of a copy of a plate file, and the process of its server."""
+    """Open a copy of a plate file in a server of its own; yields the page and the server's process id."""
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     with tempfile.TemporaryDirectory() as folder:
         shutil.copy(plate, folder)
@@ -97,7 +97,7 @@ def served(plate: Path) -> Iterator[tuple[Page, int]]:
 
 
 def main() -> None:
-    """Edit a plate file, and print medians and memory."""
+    """Edit a plate file and print median times and the memory."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--plate", type=Path, default=ROOT / "examples" / "panel.toml")
     parser.add_argument("--edits", type=int, default=20, help="of the frequency, and of the width")

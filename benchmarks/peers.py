@@ -1,4 +1,4 @@
-"""The same plate by other solvers, each written the way its users would, everything anew in a call.
+"""The same plate by other solvers, each written as its users would; every call starts afresh.
 
 A solver returns the lowest deformation frequencies, (n_modes,) Hz, rigid-body motions left out.
 """
@@ -23,7 +23,7 @@ from cpam_bayes.mechanics.problem import PlateState
 from cpam_bayes.plate import Specimen
 
 Array = NDArray[np.float64]
-# Five fields, or w and the rotations alone, which is all that bending of a symmetric laminate needs.
+# All five fields, or w and the rotations alone, which suffice for the bending of a symmetric laminate.
 Fields = Literal[3, 5]
 
 # Generalised strains as sums (field, derivative); fields are u v w phi_x phi_y.

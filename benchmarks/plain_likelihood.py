@@ -1,8 +1,8 @@
-"""Natural frequencies of a cross-ply plate as one writes them in a page of scikit-fem.
+"""Natural frequencies of a cross-ply plate in about one page of scikit-fem, as a user would write them.
 
-Bending of a Mindlin plate with w, phi_x, phi_y; 8-node elements, strain energy with 2 x 2 points,
-shear correction 5/6, shift-invert eigensolver. Mesh, numbering and mass are made once. The stiffness
-is either assembled at every call, or summed from matrices that were.
+Bending of a Mindlin plate with w, phi_x, phi_y; 8-node elements, strain energy with 2 x 2 points, shear
+correction 5/6, shift-invert eigensolver. Mesh, numbering and mass are made once. The stiffness is either
+assembled at every call or summed from matrices assembled before.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Frequencies = Callable[[Mapping[str, float]], Array]
 
 # Entries of the stiffness that a cross-ply plate has: curvatures (0, 1, 2), shear yz (3) and xz (4).
 ENTRIES = ((0, 0), (0, 1), (1, 1), (2, 2), (3, 3), (4, 4))
-# Shift below zero, for K is singular on a free plate, Hz.
+# Shift below zero, since K is singular on a free plate, Hz.
 _SHIFT_HZ = 10.0
 _RIGID = 3
 
@@ -52,7 +52,7 @@ def cross_ply_stiffness(angles_deg: Array, thickness: float, constants: Mapping[
 
 
 def plain_frequencies(specimen: Specimen, n_modes: int, mesh: int) -> tuple[Frequencies, Frequencies]:
-    """Two functions from constants to frequencies, (n_modes,) Hz: assembling, and summing, at a call."""
+    """Two functions from constants to frequencies, (n_modes,) Hz: one assembles at each call, one sums."""
     plate = specimen.plate
     angles, h = plate.layup.angles(np.empty(0)), plate.thickness
     lines = np.linspace(0.0, 1.0, mesh + 1)

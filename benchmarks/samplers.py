@@ -1,4 +1,4 @@
-"""emcee on this package's log probability beside emcee on one written in a page of scikit-fem.
+"""emcee on this package's log probability beside emcee on a short one written with scikit-fem.
 
 python -m benchmarks.samplers [--quick] [--rounds N] [--json FILE]
 """
@@ -33,26 +33,26 @@ from cpam_bayes.running import single_blas_thread
 Array = NDArray[Any]
 Results = dict[str, Any]
 LogProb = Callable[[Array], Any]
-# A sampler and its moves; moves by their name, as emcee takes them.
+# A sampler and its moves; the moves by name, as arguments of emcee.
 Key = tuple[str, str]
 Moves = dict[str, Any]
 
 PLATE = "C1"
 MESH, QUICK_MESH = 8, 2
-# Effective samples a second against the plain likelihood.
+# Required ratio of effective samples per second to the plain likelihood.
 _REACH = 500.0
-# A thin and a thick specimen to a converged posterior, seconds, models built in them.
+# Time limits for a converged posterior of a thin and a thick specimen, models included, s.
 _CONVERGED = {"C1": 20.0, "D1": 40.0}
-# The package's, its local ones alone, and emcee's own default.
+# The package's moves, its local ones alone, and emcee's default.
 JUMPS, DE, STRETCH = "jumps and DE", "DE", "stretch"
-# Steps of the chains that autocorrelation times are taken from.
+# Steps of the chains for the autocorrelation times.
 _STEPS = {JUMPS: 2000, DE: 4000, STRETCH: 4000}
 _QUICK_STEPS = 300
 OURS, OURS_MANY = "ours", "ours, many walkers"
-# Larger stacks cost less for each walker.
+# Larger stacks cost less per walker.
 _MANY, _QUICK_MANY = 200, 24
 ASSEMBLING, SUMMING = "scikit-fem, assembled at a call", "scikit-fem, summed at a call"
-# Steps that one repetition takes, many where they are fast.
+# Steps in one repetition; many, because they are fast.
 _OUR_STEPS = 40
 
 
@@ -77,7 +77,7 @@ class Entry:
 
 @single_blas_thread
 def run(quick: bool = False, rounds: int | None = None) -> Results:
-    """Time steps of all samplers in turn; benchmarks/README.md says what the keys of the results mean."""
+    """Time the steps of all samplers in turn; benchmarks/README.md says what the keys of the results mean."""
     rounds = rounds or (2 if quick else 9)
     mesh = QUICK_MESH if quick else MESH
     walkers, many = (12, _QUICK_MANY) if quick else (DEFAULT_SETTINGS.walkers, _MANY)
@@ -103,7 +103,7 @@ def run(quick: bool = False, rounds: int | None = None) -> Results:
         budget=2.0 if quick else 60.0,
         clock=time.process_time,
     )
-    # seconds for an effective sample
+    # seconds per effective sample
     cost = {e.key: timed[e.key] / e.steps / e.walkers * tau[e.moves, e.walkers] for e in entries}
     rows = [_row(e, timed[e.key], cost, tau[e.moves, e.walkers]) for e in entries]
     few = _spread(draws, 6 if quick else 30)
@@ -138,12 +138,12 @@ def _entries(posterior: Posterior, mesh: int, walkers: int, many: int) -> list[E
 
 
 def _spread(draws: Array, n: int) -> Array:
-    """Some draws from all over the chains, (n, n_parameters)."""
+    """Draws spread evenly over the chains, (n, n_parameters)."""
     return np.asarray(draws[np.linspace(0, len(draws) - 1, n).astype(int)])
 
 
 def _plain_log_prob(posterior: Posterior, frequencies: Frequencies) -> LogProb:
-    """Gaussian log likelihood of one parameter vector, the priors being those of the posterior."""
+    """Log posterior of one parameter vector: Gaussian likelihood, with the priors of the posterior."""
     own, names = posterior.measurement, posterior.model.parameters.names
     listed = own.frequencies
 
@@ -169,7 +169,7 @@ def _sampler(log_prob: LogProb, moves: Any, walkers: int, n: int, vectorize: boo
 
 
 def _steps(entry: Entry, moves: Any, start: Array) -> Callable[[], None]:
-    """A call that takes a sampler further by the entry's number of steps."""
+    """A call that advances a sampler by the entry's number of steps."""
     sampler = _sampler(entry.log_prob, moves, *start.shape, entry.is_ours)
     state: list[Any] = [start]
 
@@ -181,9 +181,9 @@ def _steps(entry: Entry, moves: Any, start: Array) -> Callable[[], None]:
 
 
 def _autocorrelation_time(posterior: Posterior, start: Array, moves: Any, steps: int) -> float:
-    """Steps, of the slowest parameter, from a chain on our log probability.
+    """Autocorrelation time of the slowest parameter, in steps, from a chain on our log probability.
 
-    It belongs to the posterior, the moves and the number of walkers, whoever computes the density.
+    It depends on the posterior, the moves and the number of walkers, not on who computes the density.
     """
     sampler = _sampler(posterior.log_prob, moves, *start.shape, True)
     sampler.run_mcmc(start, steps, skip_initial_state_check=True)
@@ -206,7 +206,7 @@ def _row(entry: Entry, times: Array, cost: dict[Key, Array], tau: float) -> Resu
 
 
 def _agreement(name: str, log_prob: LogProb, posterior: Posterior, draws: Array) -> Results:
-    """Largest difference of two log probabilities over draws, their means apart."""
+    """Largest difference of two log probabilities over draws, up to a constant."""
     difference = np.array([log_prob(x) for x in draws]) - posterior.log_prob(draws)
     return {
         "sampler": name,
@@ -216,7 +216,7 @@ def _agreement(name: str, log_prob: LogProb, posterior: Posterior, draws: Array)
 
 
 def _converged(name: str) -> Results:
-    """An identification from nothing, its models built anew, to a converged posterior."""
+    """Run an identification to a converged posterior, its models built afresh."""
     forget_models()
     start, used = time.perf_counter(), time.process_time()
     found = cb.sample(name).result
@@ -241,7 +241,7 @@ def _targets(cost: dict[Key, Array], converged: list[Results]) -> list[Target]:
             what=f"effective samples a second, {ours}",
             unit="times",
             found=ratio(cost[theirs, moves], cost[ours, JUMPS]).median,
-            # the page as its author would leave it: emcee's own moves
+            # a user's page as it would be: emcee's default moves
             reach=_REACH if moves == STRETCH else None,
             at_least=True,
             against=f"{theirs}, {moves} moves",
@@ -258,7 +258,7 @@ def _targets(cost: dict[Key, Array], converged: list[Results]) -> list[Target]:
 
 
 def tables(results: Results) -> tuple[Table, ...]:
-    """Results of ``run`` as a reader wants them."""
+    """Tables of the results of ``run``."""
     rows = tuple(
         (
             row["sampler"],

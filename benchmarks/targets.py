@@ -1,4 +1,4 @@
-"""What our forward solver is to reach, and what a run found."""
+"""Targets of our forward solver, and the values that a run found."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _BUILDING_S, _BUILDING_MIB = 15.0, 1024.0
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """One figure. at_least : whether more is better. reach : ``None`` where it is only stated."""
+    """One figure. at_least : whether more is better. reach : the target, ``None`` if there is none."""
 
     case: str
     what: str
@@ -45,7 +45,7 @@ class Target:
 
     @property
     def reached(self) -> bool | None:
-        """Whether it is; ``None`` where nothing was to be reached."""
+        """Whether the target is met; ``None`` if there is none."""
         if self.reach is None:
             return None
         return self.found >= self.reach if self.at_least else self.found <= self.reach
@@ -54,9 +54,8 @@ class Target:
 def speeds(case: Case, entries: Iterable[Entry], times: Times, accuracy: float) -> Iterator[Target]:
     """Times of a case against those of the accurate peers on its plate.
 
-    entries : of all cases. times : by case and solver, s for one parameter set, (rounds,). A case
-    with another layup or a mass is compared with the peers on the bare plate: to them it is the
-    same work.
+    entries : of all cases. times : by case and solver, s per parameter set, (rounds,). A case with another
+    layup or a mass is compared with the peers on the bare plate, which are as much work for them.
     """
     good = [e for e in entries if e.case == case.plate and e.is_peer and (e.error or 0.0) <= accuracy]
     # First against peers that solve the same five fields, then against all.

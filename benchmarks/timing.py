@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 Key = TypeVar("Key", bound=Hashable)
 Call = Callable[[], Any]
 
-# A repetition lasts at least this long, s: what is faster is called several times in it.
+# Shortest repetition, s: a faster call is repeated within it.
 _SHORTEST = 0.01
 # A call that has used this much time, s, sits out the remaining rounds.
 _BUDGET = 3.0
 
 
 def busy_processes() -> float | None:
-    """Processes that want a core, a mean over one minute; ``None`` where the system does not tell."""
+    """Number of runnable processes, averaged over one minute; ``None`` if the system does not report it."""
     return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
 
 
@@ -44,9 +44,9 @@ def interleaved(
 ) -> dict[Key, NDArray[np.float64]]:
     """Seconds of each call in each round, (rounds,), nan where it sat out.
 
-    Every call is made once before, to warm up and to see how long it takes. The order of the calls
-    turns round from one round to the next, so that a machine that gets busy or warm favours none.
-    clock : ``time.process_time`` leaves out what other programs take, for calls that start none.
+    Each call is made once beforehand, to warm up and to find out how long it takes. The order of the calls
+    is reversed from one round to the next, so that a change in the machine's load favours none.
+    clock : ``time.process_time`` leaves out the time of other programs, for calls that start none.
     """
     repeats: dict[Key, int] = {}
     spent: dict[Key, float] = {}
@@ -66,7 +66,7 @@ def interleaved(
 
 
 def ratio(times: NDArray[np.float64], to: NDArray[np.float64]) -> Ratio:
-    """Ratio of times to others over the rounds that both have."""
+    """Ratio of two series of times over the rounds that both have."""
     both = np.isfinite(times) & np.isfinite(to)
     low, median, high = np.quantile(times[both] / to[both], (0.25, 0.5, 0.75))
     return Ratio(float(median), float(low), float(high))

@@ -1,4 +1,4 @@
-"""Results of benchmarks/waits.py as tables, on a screen and in docs/speed.md."""
+"""Tables of the results of benchmarks/waits.py, for the screen and for docs/speed.md."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SOLVER = ("", "before", "now", "to reach", "", "against")
 
 
 def tables(results: Results) -> tuple[Table, ...]:
-    """For the screen, with the answers."""
+    """Tables for the screen, with the answers."""
     waits = tuple((*row, _answers(r)) for row, r in zip(_wait_rows(results), results["waits"], strict=True))
     columns = _columns((*_WAITS, "answers"), left=("answers",))
     solver = Table("Forward solvers", _columns(_SOLVER, left=("against",)), tuple(_solver_rows(results)))
@@ -26,7 +26,7 @@ def tables(results: Results) -> tuple[Table, ...]:
 
 
 def sections(results: Results) -> dict[str, str]:
-    """The tables of docs/speed.md, of the later version alone."""
+    """Tables of docs/speed.md, for the later version alone."""
     places = [_WAITS.index(heading) for heading in ("", "now, s", "now, GiB")]
     rows = [tuple(row[i] for i in places) for row in _wait_rows(results)]
     waits = markdown_table(("", "s", "GiB"), rows)
@@ -67,7 +67,7 @@ def _solver_rows(results: Results) -> list[Cells]:
 
 
 def _loads(rows: list[Results]) -> str:
-    """How busy the machine was."""
+    """Sentence on the load of the machine."""
     loads = [row["load"] for row in rows if row.get("load") is not None]
     if not loads:
         return ""
@@ -78,7 +78,7 @@ def _seconds(measured: Results | None) -> str:
     if measured is None:
         return ""
     text = f"{'over ' if measured['stopped'] else ''}{_plain(measured['seconds'])}"
-    # 1 is an answer too: of chains that used their budget, for instance
+    # 1 is an answer too: from chains that used up their budget, for instance
     failed = not measured["stopped"] and measured["exit_status"] not in (0, 1)
     return f"{text} (exit {measured['exit_status']})" if failed else text
 

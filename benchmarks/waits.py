@@ -3,7 +3,7 @@
 python -m benchmarks.waits [--before TREE] [--only NAME ...] [--rounds N] [--limit S] [--json FILE]
 
 Every case runs in a process of its own with an empty cache, before and after in turn. With --json FILE each
-case is saved as soon as it is done, and cases that FILE holds and that are not run again stay.
+case is saved as soon as it is done; cases already in FILE that are not run again are kept.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Results = dict[str, Any]
 Keep = Callable[[Results], None]
 
 ROOT = Path(__file__).resolve().parent.parent
-# What docs/speed.md is written from.
+# The results that docs/speed.md is written from.
 RESULTS = ROOT / "benchmarks" / "results" / "waits.json"
 PLATES = ROOT / "benchmarks" / "plates"
 
@@ -41,9 +41,9 @@ KEYS = {
 
 
 class Case(NamedTuple):
-    """A command and what is to be reached.
+    """A command and its targets.
 
-    what : the row of the table that it belongs to
+    what : row of the table that it belongs to
     reach_s, reach_gib : wall clock and memory on two quiet cores
     """
 
@@ -83,7 +83,7 @@ QUICK = Case("forward A1", "frequencies", ("forward", "A1"))
 
 
 class SolverRow(NamedTuple):
-    """A row of the forward solvers' targets; where several are alike, the one at ``place``."""
+    """A row of the forward solvers' targets; among several that are alike, the one at ``place``."""
 
     name: str
     case: str
@@ -94,7 +94,7 @@ class SolverRow(NamedTuple):
     place: int = 0
 
 
-# The second of two alike is against all peers, those that solve bending alone among them.
+# The second of two alike is against all peers, including those that solve bending alone.
 SOLVER_ROWS = (
     SolverRow("full solve C1, fastest peer", "C1", "a full solve", "times faster", 40.0, True, -1),
     SolverRow("full solve D1, fastest peer", "D1", "a full solve", "times faster", 12.0, True, -1),
@@ -117,7 +117,7 @@ SOLVER_ROWS = (
 )
 SOLVER = "solver"
 NAMES = (*(case.name for case in CASES), SOLVER)
-# Seconds that the forward solvers may take.
+# Time limit for the forward solvers, s.
 _SOLVER_LIMIT = 1800.0
 
 
@@ -129,7 +129,7 @@ def run(
     limit: float = 1800.0,
     keep: Keep = lambda results: None,
 ) -> Results:
-    """Measure the cases that are named, or all; benchmarks/README.md says what the keys mean."""
+    """Measure the named cases, or all; benchmarks/README.md says what the keys mean."""
     results: Results = {"quick": quick, "waits": [], "solver": []}
     trees = {"before": before, "after": ROOT}
     for case in [QUICK] if quick else [c for c in CASES if not only or c.name in only]:
@@ -144,9 +144,9 @@ def run(
 def _row(case: Case, trees: dict[str, Path | None], rounds: int, limit: float) -> Results:
     waits: dict[str, list[Wait]] = {name: [] for name, tree in trees.items() if tree is not None}
     for i in range(rounds):
-        # in turning order, so that a machine that gets busy or warm favours neither
+        # in alternating order, so that a change in the machine's load or temperature favours neither
         for name in list(waits)[:: 1 if i % 2 == 0 else -1]:
-            # what was stopped once is not tried again
+            # a case that was stopped once is not tried again
             if not waits[name] or waits[name][-1].exit_status is not None:
                 waits[name].append(_answer(case, trees[name] or ROOT, limit))
     return {
@@ -165,7 +165,7 @@ def _answer(case: Case, tree: Path, limit: float) -> Wait:
 
 
 def _measured(waits: Sequence[Wait], tree: Path) -> Results:
-    """Medians over the rounds; ``seconds`` are the limit where it was stopped."""
+    """Medians over the rounds; ``seconds`` is the limit if it was stopped."""
     done = [w for w in waits if w.exit_status is not None]
     stopped = len(done) < len(waits)
     processor = [w.processor_seconds for w in done if w.processor_seconds is not None]
@@ -182,7 +182,7 @@ def _measured(waits: Sequence[Wait], tree: Path) -> Results:
 
 
 def _said(document: Results) -> str | None:
-    """The answer in a few words, to see that both trees give it."""
+    """The answer in a few words, to check that both trees give the same."""
     with suppress(KeyError, IndexError, TypeError):
         if "modes" in document:
             return f"{document['modes'][0]['frequency_hz']:.4g} Hz"
@@ -199,7 +199,7 @@ def _said(document: Results) -> str | None:
 
 
 def _solver_rows(trees: dict[str, Path | None]) -> list[Results]:
-    """The rows of the forward solvers, a run of its own in each tree."""
+    """Rows of the forward solvers, from a separate run in each tree."""
     measured: dict[str, tuple[list[Results], str] | None] = dict.fromkeys(trees)
     for name, tree in trees.items():
         if tree is None:
@@ -238,7 +238,7 @@ def _value(row: SolverRow, targets: Sequence[Results], commit: str) -> Results |
 
 
 def _commit(tree: Path) -> str:
-    """The commit of a tree, with a plus where files differ from it; empty where git does not tell."""
+    """Commit of a tree, with a plus if files differ from it; empty if git does not report it."""
 
     def git(*arguments: str) -> str:
         return subprocess.run(

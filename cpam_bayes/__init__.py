@@ -15,8 +15,8 @@
     cb.batch(plate, other_plate)    # many plates, one row each, with limits and a control chart
     cb.compare(plate, other_plate)  # do their constants differ?
     cb.sensitivity(plate)           # the paper's noise study beside the posterior
-    cb.calibrate(plate)             # do its intervals hold the truth as often as they say?
-    cb.app("plates")                # a page on this machine, the constants while one types
+    cb.calibrate(plate)             # do its intervals cover the truth as often as they claim?
+    cb.app("plates")                # a page on this machine that updates the constants as you type
     cb.prove(plate, with_coin)      # what was stuck to the plate, how heavy, where?
     cb.paper(5)                     # a table of the paper beside what this package computes
 

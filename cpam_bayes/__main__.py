@@ -8,12 +8,12 @@ import sys
 from collections.abc import Callable, Sequence
 from types import FrameType
 
-# Before numpy loads: small eigenproblems lose more by sharing out than they gain.
+# Before numpy loads: on small eigenproblems BLAS threads cost more than they gain.
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
 INTERRUPTED = 130
-# Ctrl-C, a scheduler or `kill`, a terminal that is closed, on Windows Ctrl-Break: those that the system has
+# Ctrl-C, a scheduler or `kill`, a closed terminal, on Windows Ctrl-Break: those that the system has
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 _ENDING = tuple(signal.Signals(getattr(signal, name)) for name in _NAMES if hasattr(signal, name))
 _UNTOUCHED = (signal.SIG_DFL, signal.default_int_handler)
@@ -55,20 +55,20 @@ def _listen(numbers: Sequence[signal.Signals], handler: Callable[..., object] | 
 
 
 def _leave(signal_number: int, frame: FrameType | None) -> None:
-    """Leave at once: an exception inside the import of a library does not always come out of it."""
+    """Exit at once: an exception during a library's import does not always propagate."""
     os.write(2, _MESSAGE.encode())
     os._exit(INTERRUPTED)
 
 
 def _interrupt(signal_number: int, frame: FrameType | None) -> None:
-    """Clean up and leave; of a system that ends a session with several signals the first one counts."""
+    """Clean up and exit; where a session is ended by several signals, the first one counts."""
     if signal_number != signal.SIGINT:
         _listen([number for number in _ENDING if number != signal.SIGINT], signal.SIG_IGN)
     raise KeyboardInterrupt
 
 
 def _flushed(status: int) -> int:
-    """Write out what is left; after a failure the interpreter must not try once more."""
+    """Flush standard output; after a failure the interpreter must not try again."""
     try:
         if sys.stdout is not None:
             sys.stdout.flush()

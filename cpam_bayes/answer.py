@@ -1,6 +1,6 @@
-"""The parts of an answer: constants, frequencies, notices. Made once by the verbs, in SI, used by all.
+"""The parts of an answer: constants, frequencies, notices; made by the verbs, in SI.
 
-Nothing here knows how an answer looks: `cpam_bayes.render` writes it.
+Presentation is left to `cpam_bayes.render`.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ Severity: TypeAlias = Literal["slip", "warning", "remark"]
 
 
 class Verdict(Enum):
-    """The source of a constant's value: data, prior or both; the values are those of JSON documents."""
+    """The verdict on a constant: determined by data, prior or both; values as in the JSON documents."""
 
     DATA = "determined by the data"
     BOTH = "determined by data and prior"
     PRIOR = "determined by the prior"
     MISFIT = "not determined, the model misfits"
-    """The noise does not explain the misfit: what the frequencies determine is no constant of the plate."""
+    """The noise does not explain the misfit: the frequencies determine no constant of the plate."""
     UNCONVERGED = "not known, the chains did not converge"
 
 
@@ -32,8 +32,8 @@ class Verdict(Enum):
 class Notice:
     """A reason not to trust an answer as it stands.
 
-    code : names its sentence in `cpam_bayes.render.notices`
-    facts : what the sentence is made from, in SI or in words of the plate file
+    code : key of its sentence in `cpam_bayes.render.notices`
+    facts : values in the sentence, in SI or as named in the plate file
     """
 
     code: str
@@ -42,7 +42,7 @@ class Notice:
 
 
 def each_once(notices: Iterable[Notice]) -> tuple[Notice, ...]:
-    """Equal notices of the parts of an answer once, in order."""
+    """Notices without duplicates, in order."""
     found: list[Notice] = []
     for notice in notices:
         if notice not in found:
@@ -51,7 +51,7 @@ def each_once(notices: Iterable[Notice]) -> tuple[Notice, ...]:
 
 
 def as_written(texts: Iterable[str]) -> tuple[Notice, ...]:
-    """Sentences of a reader of files as notices."""
+    """Sentences from a file reader as notices."""
     return tuple(Notice("as_written", facts={"text": text}) for text in texts)
 
 
@@ -59,17 +59,17 @@ def as_written(texts: Iterable[str]) -> tuple[Notice, ...]:
 class Constant:
     """An elastic constant in an answer, in SI.
 
-    name : as inside, "E1"; of a hybrid with its material, "c.E1"
+    name : internal name, "E1"; in a hybrid with its material, "c.E1"
     value : the point estimate, or the mean of the posterior
     sd : standard deviation, nan where not known
     interval : 95 %, None where none can be given
     prior : what was assumed before the measurement
-    reference : of the plate file, nan where it has none
-    verdict : what decides the value
+    reference : value in the plate file, nan where it has none
+    verdict : what determines the value
     bound : the bound of the prior that the value sits on
     elsewhere : values at other optima that the noise does not exclude
-    rests_on : other constants whose priors the interval rests on too
-    has_former_plate : whether the prior is the posterior of a former plate
+    rests_on : other constants whose priors the interval also depends on
+    has_former_plate : whether the prior is the posterior of an earlier plate
     """
 
     name: str
@@ -86,7 +86,7 @@ class Constant:
 
     @property
     def has_reference_prior(self) -> bool:
-        """Whether its prior is what is known of the reference."""
+        """Whether its prior is centred on the reference value."""
         return self.prior.describe().centre == self.reference
 
     @property
@@ -96,7 +96,7 @@ class Constant:
 
     @property
     def is_open(self) -> bool:
-        """Whether the frequencies leave the value open, so that it must not be used."""
+        """Whether the frequencies leave the value undetermined, so that it must not be used."""
         held = self.bound is not None or bool(self.elsewhere) or not math.isfinite(self.sd)
         return held or self.verdict in (Verdict.PRIOR, Verdict.UNCONVERGED)
 
@@ -105,13 +105,12 @@ class Constant:
 class FrequencyRow:
     """A measured frequency beside the model's, Hz.
 
-    measured : None for a mode in the range of the list that the list lacks
-    predicted, predicted_sd : None for a measured frequency that was paired with no mode; the sd nan where
-    not known
+    measured : None for a mode within the range of the list that is missing from it
+    predicted, predicted_sd : None for a measured frequency paired with no mode; the sd nan where not known
     number : of the mode, ascending from 1, or 0
     kind : bending, in-plane or coupled; label : by nodal lines, (1,1)
-    plate : name of the plate, for several
-    probability : of a candidate peak, that it is what it was paired with; None of others
+    plate : name of the plate, where there are several
+    probability : that a candidate peak is what it was paired with; None for others
     """
 
     measured: float | None
@@ -133,11 +132,11 @@ class FrequencyRow:
 
 @dataclass(frozen=True, slots=True)
 class Reliance:
-    """A constant whose interval rests on the prior, or the bounds, of another one.
+    """A constant whose interval depends on the prior, or the bounds, of another one.
 
     name : of the constant
     on : the constant whose prior it is
-    widening : relative growth of the standard deviation of ``name`` were the prior of ``on`` twice as wide
+    widening : relative growth of the standard deviation of ``name`` if the prior of ``on`` were twice as wide
     """
 
     name: str

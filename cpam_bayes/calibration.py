@@ -1,21 +1,21 @@
-"""Simulation-based calibration: whether the posterior is right when nature is as the model says.
+"""Simulation-based calibration: a test of the posterior on data that follow its model.
 
 Talts, Betancourt, Simpson, Vehtari and Gelman (2018): parameters are drawn from the prior, a list of
 frequencies is simulated at them, its posterior is sampled as for any other list, and the true value
 is ranked among nearly independent draws. Over many repetitions the ranks are uniform if prior,
 likelihood and sampler are all right.
 
-The simulated lists follow the model of the posterior: frequencies of the same forward model, every
-one scattered independently with variance (s f)^2 + resolution^2 / 12 + (e f)^2, rounding being the
-Gaussian that the likelihood takes it for. A list is not sorted after that: a complete list is paired
-with the modes by position. One difference is left: f is the mode's frequency here and the listed one
-in the likelihood, a relative shift of the modes by 2 s^2, or of 2 s sqrt(n_modes) standard deviations
-of a common factor: 0.05 at the noise of 1 % that the prior expects.
+The simulated lists follow the posterior's own model: frequencies of the same forward model with
+independent errors of variance (s f)^2 + resolution^2 / 12 + (e f)^2, rounding being Gaussian as in the
+likelihood. A list is not sorted afterwards: a complete list is paired with the modes by position. One
+difference remains: f is the mode's frequency here and the listed one in the likelihood, a relative shift
+of the modes by 2 s^2, or by 2 s sqrt(n_modes) standard deviations of a common factor: 0.05 at the noise
+of 1 % that the prior expects.
 
-Counts of uniform ranks, in bins or up to a rank, are binomial at each place and dependent between
-places. What is simultaneous here, bands and p-values, is therefore read off simulated uniform ranks, as
-by Säilynoja, Bürkner and Vehtari (Statistics and Computing 32, 2022): the statistic is the least
-binomial tail probability over all places.
+Counts of uniform ranks, in bins or cumulative, are binomial at each place and dependent between places.
+Simultaneous bands and p-values are therefore taken from simulated uniform ranks, as by Säilynoja, Bürkner
+and Vehtari (Statistics and Computing 32, 2022): the statistic is the smallest binomial tail probability
+over all places.
 """
 
 from __future__ import annotations
@@ -43,27 +43,27 @@ Array = NDArray[Any]
 
 # Draws that a true value is ranked among: its rank is one of a hundred.
 N_DRAWS = 99
-# Shorter than what an identification needs: a rank asks for a hundred draws, not for the tails.
+# Shorter than for an identification: a rank needs a hundred draws, not the tails.
 SETTINGS = EnsembleSettings(walkers=40, round_steps=80, r_hat=1.05, effective=2.0 * N_DRAWS, most_steps=3000)
 
 
 @dataclass(frozen=True, slots=True)
 class Nature:
-    """The source of frequencies: a forward model and its own relative errors (n_modes,)."""
+    """A data-generating model: a forward model and its relative solver errors (n_modes,)."""
 
     model: ForwardModel
     solver_error: Array
 
 
 class Source(Protocol):
-    """Makes a nature in whichever process needs it; equal sources make equal ones."""
+    """A factory that makes a nature in whichever process needs it; equal sources make equal natures."""
 
     def __call__(self) -> Nature:
         """The model and its error."""
         ...
 
     def __hash__(self) -> int:
-        """Hash of the parts that it is made from: a process makes each nature once."""
+        """Hash of the parts it is made from: each process makes a nature once."""
         ...
 
 
@@ -79,7 +79,7 @@ class PlateSource:
     n_modes: int
 
     def __call__(self) -> Nature:
-        """The reduced model over the specimen's unknowns, its error that of an identification."""
+        """The reduced model over the specimen's unknowns, with the solver error of an identification."""
         specimen = read_specimen(self.plate)
         model = reduced_model(specimen, specimen.unknowns, self.n_modes)
         return Nature(model, np.hypot(model.full.error, model.tolerance))
@@ -87,7 +87,7 @@ class PlateSource:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NatureSource:
-    """A nature that is there already and goes to other processes as it is."""
+    """A ready-made nature, passed to other processes as it is."""
 
     nature: Nature
 
@@ -103,8 +103,8 @@ class Experiment:
     source : of the frequencies.
     resolution : Hz.
     relative_std : of the noise, ``None`` to draw it from its prior and infer it.
-    seed : of all repetitions; each depends on it and on its own number alone.
-    n_listed : lowest modes that a list has, ``None`` for all of the model.
+    seed : of all repetitions; each depends only on it and on its own number.
+    n_listed : number of lowest modes in a list, ``None`` for all of the model.
     """
 
     source: Source
@@ -122,7 +122,7 @@ class Repetition:
 
     truth : parameters, SI, the noise last where it is inferred.
     ranks : of the true values among ``N_DRAWS`` nearly independent draws.
-    below : shares of all draws kept that lie below them.
+    below : fractions of all kept draws below the true values.
     ordered : whether the noise left the list in ascending order.
     """
 
@@ -147,7 +147,7 @@ def calibrate(
     batch_size: int | None = None,
     on_result: Callable[[Repetition], None] = lambda repetition: None,
 ) -> tuple[Repetition, ...]:
-    """Repetitions 0 to n - 1 of an experiment, in order, the same bit for bit whoever computes them.
+    """Repetitions 0 to n - 1 of an experiment, in order, bit for bit the same on any executor.
 
     known : repetitions of the same experiment that are not computed again.
     on_result : called with every repetition that was computed, as it ends.
@@ -200,7 +200,7 @@ def repeat(experiment: Experiment, number: int) -> Repetition:
 
 
 def simulate(experiment: Experiment, nature: Nature, rng: np.random.Generator) -> tuple[Array, Measurement]:
-    """Parameters from the prior, (n,), and a list of frequencies that was measured at them."""
+    """Parameters (n,) drawn from the prior, and a simulated list of frequencies at them."""
     truth = prior_draw(prior_of(experiment, nature), rng)
     model = nature.model
     f = model.predict(truth[None, : model.parameters.size]).frequencies[0]
@@ -220,12 +220,12 @@ def prior_draw(posterior: Posterior, rng: np.random.Generator) -> Array:
 
 
 def second_half(result: EnsembleResult) -> Array:
-    """The later half of all steps, (ensembles, steps, walkers, n): as much again as burn-in took."""
+    """Draws after the first half of all steps, burn-in included, (ensembles, steps, walkers, n)."""
     return result.chain[:, max(result.diagnostics.steps // 2 - result.diagnostics.burn_in, 0) :]
 
 
 def spread_draws(chain: Array, n_draws: int, rng: np.random.Generator) -> Array:
-    """Draws spread evenly over the steps, each of another walker as long as there are some, (n_draws, n).
+    """Draws spread evenly over the steps, from different walkers while there are any left, (n_draws, n).
 
     chain : (ensembles, steps, walkers, n).
     """
@@ -242,12 +242,12 @@ def parameter_names(experiment: Experiment) -> tuple[str, ...]:
 
 @lru_cache(maxsize=4)
 def nature_of(source: Source) -> Nature:
-    """The nature that a source makes, once a process."""
+    """The nature made by a source, cached per process."""
     return source()
 
 
 def prior_of(experiment: Experiment, nature: Nature) -> Posterior:
-    """A posterior with the priors of an experiment, whose list says nothing."""
+    """A posterior with the priors of an experiment and a dummy list."""
     listed = np.ones(len(nature.solver_error))[: experiment.n_listed]
     return plate_posterior(nature.model, _measurement(experiment, listed), nature.solver_error)
 
@@ -265,7 +265,7 @@ _SIMULATIONS = 4000
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Where counts of uniform ranks lie simultaneously, with a given probability, (k,) each."""
+    """A simultaneous band of counts of uniform ranks at a given probability, (k,) each."""
 
     lower: Array
     upper: Array
@@ -273,7 +273,7 @@ class Band:
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """Fraction of central intervals of probability ``level`` that hold the truth.
+    """The fraction of central intervals of probability ``level`` that contain the truth.
 
     standard_error : binomial, sqrt(level (1 - level) / n).
     """
@@ -285,10 +285,10 @@ class Coverage:
 
 @dataclass(frozen=True, slots=True)
 class Uniformity:
-    """How uniform the ranks of one parameter are.
+    """Uniformity of the ranks of one parameter.
 
     counts : (n_bins,) of the rank histogram.
-    cumulative : (n_ranks,) ranks up to each one.
+    cumulative : (n_ranks,) number of ranks up to each one.
     chi_square_p, ecdf_p : p-values of the histogram and of the largest departure of the empirical
     distribution from its band.
     corrected_p : the smaller of the two after Holm's correction for all p-values of the same table of
@@ -396,7 +396,7 @@ def _in_bins(counts: Array, n_bins: int) -> Array:
 
 
 class _Counts:
-    """Binomial counts of n at k places, with their tail probabilities in a table."""
+    """Tabulated tail probabilities of binomial counts of n at k places."""
 
     def __init__(self, n: int, probability: Array) -> None:
         at = np.arange(n + 1)[:, None]
@@ -405,12 +405,12 @@ class _Counts:
         self.places = np.arange(len(probability))
 
     def least_tail(self, counts: Array) -> Array:
-        """Least tail probability over the places of counts (m, k), (m,)."""
+        """Smallest tail probability (m,) over the places of counts (m, k)."""
         both = np.minimum(self.up_to[counts, self.places], self.from_on[counts, self.places])
         return np.asarray(both.min(axis=1))
 
     def band(self, simulated: Array, probability: float) -> Band:
-        """Counts whose tails are as large as all of a fraction of simulated rows have them."""
+        """The band that a fraction ``probability`` of the simulated rows never leaves."""
         least = np.sort(simulated)[int((1.0 - probability) * len(simulated))]
         allowed = (self.up_to >= least) & (self.from_on >= least)
         return Band(allowed.argmax(axis=0), len(allowed) - 1 - allowed[::-1].argmax(axis=0))

@@ -1,6 +1,6 @@
-"""The command line: options in, an answer to standard output, warnings and errors beside it.
+"""The command line: an answer on standard output, warnings and errors on standard error.
 
-Only the standard library is imported here; the question that a command asks loads once it was asked for.
+Only the standard library is imported here; the module of a question is loaded when it is asked.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ COMMANDS: Final = {
     "prove": "the coin test: was a mass stuck to the plate, how heavy, where",
     "calibrate": "how often the intervals of a plate hold the true constants, by simulated lists",
 }
-"""Command, and module of `cpam_bayes.questions` with its `COMMAND` -> what it answers."""
+"""Command, also the name of its module in `cpam_bayes.questions` -> what it answers."""
 BAD_INPUT: Final = 2
 NOT_WRITTEN: Final = 1
 NOT_DONE: Final = 1
@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def prepare(argv: Sequence[str]) -> Callable[[], int]:
-    """Read the options and the plate file and load what the command needs; return its work."""
+    """Parse the options and load what the command needs; return the function that runs it."""
     try:
         command, parser = _asked(argv)
         args = parser.parse_args(argv)
@@ -86,7 +86,7 @@ def _refuse(error: ValueError) -> int:
 
 
 def _not_shown(error: OSError) -> int:
-    """Say that an answer could not be written, and let what is left of it go nowhere."""
+    """Report that an answer could not be written, and discard the rest of it."""
     print(f"error: standard output: {error.strerror}; the answer was not written", file=sys.stderr)
     with suppress(OSError):  # a stream that is no file
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -96,9 +96,9 @@ def _not_shown(error: OSError) -> int:
 def _finish(
     work: Callable[[], Result], args: argparse.Namespace, command: Command, read: Mapping[str, Specimen]
 ) -> int:
-    """Do the work, save its files, and show its answer even if they could not be saved.
+    """Run the command, save its files, and show its answer even if they could not be saved.
 
-    read : the plates whose tables needed an answer, by their paths
+    read : plates whose table columns the user has chosen, by path
     """
     from numpy.linalg import LinAlgError
 
@@ -141,7 +141,7 @@ def _finish(
     except (WorkersLostError, TimeIsUpError) as error:
         print(f"error: {error}", file=sys.stderr)
         return NOT_DONE
-    # on a terminal the screen says the slips itself
+    # on a terminal the screen shows the slips itself
     shown = not args.json and _is_terminal(sys.stdout) and _is_terminal(sys.stderr)
     for warning in answer.cautions if shown else answer.warnings:
         print(f"warning: {warning}", file=sys.stderr)
@@ -161,7 +161,7 @@ def _finish(
 
 
 def _with_columns(error: ValueError) -> Specimen | None:
-    """The plate with the columns of its table that a user at a terminal chose; None where none was asked."""
+    """The plate with the table columns that the user chose at the terminal; None where none were."""
     heads, file = getattr(error, "choices", ()), getattr(error, "source", "")
     is_plate = file.casefold().endswith(".toml")  # a list of `prove` has nowhere to keep the answer
     if not (heads and is_plate and _is_terminal(sys.stdin) and _is_terminal(sys.stdout)):
@@ -195,7 +195,7 @@ def _is_terminal(stream: TextIO | None) -> bool:
 
 @contextmanager
 def _warnings_shown() -> Iterator[None]:
-    """Show what the package logs, a damaged file that was set aside for instance, as warnings."""
+    """Show log messages of the package, such as a damaged file set aside, as warnings."""
     log, handler = logging.getLogger("cpam_bayes"), logging.StreamHandler()
     handler.setFormatter(logging.Formatter("warning: %(message)s"))
     log.addHandler(handler)
@@ -229,7 +229,7 @@ class _Parser(argparse.ArgumentParser):
     """A parser that raises ``OSError`` where help or version cannot be written; argparse ignores that."""
 
     def print_help(self, file: Any = None) -> None:
-        """Write the help, to standard output if nowhere else."""
+        """Write the help, by default to standard output."""
         stream = sys.stdout if file is None else file
         if stream is not None:
             _write(self.format_help(), stream)
@@ -245,7 +245,7 @@ class _Version(argparse.Action):
 
 
 def _asked(argv: Sequence[str]) -> tuple[Command | None, argparse.ArgumentParser]:
-    """The command that is asked for, and the parser with its options; the others are in the help alone."""
+    """The requested command, and a parser with its options; other commands are only listed in the help."""
     parser = _Parser(
         prog="cpam-bayes",
         description="Elastic constants of composite plates from their natural frequencies.",

@@ -33,7 +33,7 @@ class Option:
 
     name : "--modes", or "plate" for a positional one
     argument : of the verb, None for one that the command line itself uses
-    settings : of `argparse.ArgumentParser.add_argument`
+    settings : keyword arguments of `argparse.ArgumentParser.add_argument`
     """
 
     name: str
@@ -42,7 +42,7 @@ class Option:
 
     @property
     def key(self) -> str:
-        """The attribute of the parsed options."""
+        """Its attribute in the parsed options."""
         return str(self.settings.get("dest") or self.name.lstrip("-").replace("-", "_"))
 
     def add_to(self, parser: argparse.ArgumentParser) -> None:
@@ -57,7 +57,7 @@ def add_executor_options(parser: argparse.ArgumentParser) -> None:
 
 
 def option(name: str, argument: str | None = "", **settings: Any) -> Option:
-    """An option as argparse takes it; argument : of the verb, that of its name unless given."""
+    """An option as argparse takes it; argument : of the verb, by default the option's name."""
     plain = name.lstrip("-").replace("-", "_")
     return Option(name, plain if argument == "" else argument, MappingProxyType(settings))
 
@@ -66,13 +66,13 @@ def option(name: str, argument: str | None = "", **settings: Any) -> Option:
 class Command:
     """A command: the verb that answers it, and its options in the order of the help.
 
-    verb : is called with the positional arguments in their order, several of one option one by one, and all
-        others by name; an option whose default is `argparse.SUPPRESS` has that of the verb where left out
+    verb : called with the positional arguments in order, lists unpacked, and all others by name; an option
+        with the default `argparse.SUPPRESS` takes the verb's default
     options : a name without "--" is positional
     out : help of `--out DIR`, None for a command that writes no files there
     watched : whether the verb shows progress to a `watch`
     seeded : whether the verb takes a `seed`
-    asks : further arguments by name, from the arguments that are given; not called with `--json`
+    asks : asks the user for further arguments, by name, given the others; not called with `--json`
     """
 
     verb: Callable[..., Result]
@@ -83,7 +83,7 @@ class Command:
     asks: Callable[..., Mapping[str, Any]] | None = None
 
     def add_to(self, parser: argparse.ArgumentParser) -> None:
-        """Add the options to a parser, after those that all commands have."""
+        """Add the options to a parser, after those common to all commands."""
         parser.add_argument("--json", action="store_true", help="one JSON document in place of the screen")
         parser.add_argument(
             "--seed",
@@ -106,7 +106,7 @@ class Command:
     def prepare(
         self, args: argparse.Namespace, read: Mapping[str, Specimen] = MappingProxyType({})
     ) -> Callable[[], Result]:
-        """The call of the verb that the options ask for; read : plates by the paths of their files."""
+        """The verb bound to its arguments; read : plates already read, by path."""
         positional: list[Any] = []
         named: dict[str, Any] = {"seed": args.seed} if self.seeded else {}
         for each in self.options:

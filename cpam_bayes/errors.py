@@ -1,4 +1,4 @@
-"""Mistakes of a user: the errors of plate files and layups, and arguments of a wrong type."""
+"""User errors: in plate files and layups, and arguments of a wrong type."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ _WINDOW = 60
 
 
 class PlateFileError(ValueError):
-    """Everything that is wrong with one plate file, one problem a line.
+    """All errors of one plate file, one problem per line.
 
     problems : each "file:line: key: what was wrong, the value received, what is accepted"
-    gaps : those of them that miss something and name nothing wrong
-    found : problem, path of its key and the phrase without the place, of those that are of a key
+    gaps : the problems that only report a missing value
+    found : (problem, path of its key, phrase without the place) for the problems of a key
     source : the file
-    choices : heads of its table, where all that is wrong is that any of them may be the frequencies
+    choices : headings of its table that may be the frequencies, where nothing else is wrong
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class PlateFileError(ValueError):
 
 
 class LowFrequencyError(PlateFileError):
-    """First frequencies that are far below any mode of the plate as its file states it."""
+    """First frequencies far below any mode of the plate as its file states it."""
 
 
 class ArgumentError(TypeError, ValueError):
@@ -115,10 +115,10 @@ _MAX_SHOWN: Final = 60
 
 
 def checked(verb: Callable[P, R]) -> Callable[P, R]:
-    """A function that refuses an argument of a type that its annotation does not name.
+    """Wrap a function to reject arguments whose type does not match the annotation.
 
     Raises ``ArgumentError``, a ``TypeError`` and ``ValueError``, with the name of the argument, what was
-    received and what is accepted. Values are the concern of the function.
+    received and what is accepted. Values are left to the function.
     """
 
     @cache
@@ -142,7 +142,7 @@ def checked(verb: Callable[P, R]) -> Callable[P, R]:
 def _given(
     parameters: Mapping[str, Parameter], args: Sequence[Any], kwargs: Mapping[str, Any]
 ) -> Iterator[tuple[str, Any]]:
-    """Names and values of the arguments that were given; what the function lacks is left to Python."""
+    """Names and values of the arguments given; missing ones are left to Python."""
     places = [p for p in parameters.values() if p.kind is not Parameter.KEYWORD_ONLY]
     for i, value in enumerate(args):
         if i < len(places):
@@ -153,7 +153,7 @@ def _given(
 
 
 def _fits(value: object, hint: Any) -> bool:
-    """Whether a value is of the type of an annotation."""
+    """Whether a value matches an annotation."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
         return any(_fits(value, option) for option in inner)

@@ -1,8 +1,7 @@
 """A fingerprint of the sources that a result depends on: the hash of a module and of all it imports.
 
-It tells results of today's code from those of another state of it, which a version does not. How an answer
-looks is no part of it: `cpam_bayes.render` and what stands above it are left out. Neither are docstrings,
-lines of comment and blank lines.
+Unlike a version, it tells results of different states of the code apart. Presentation (`cpam_bayes.render`
+and what is built on it), docstrings, comment lines and blank lines do not enter it.
 """
 
 from __future__ import annotations
@@ -16,13 +15,13 @@ from typing import Final
 
 _PACKAGE: Final = Path(__file__).parent
 _DIGITS: Final = 12
-# Imports at any depth of a file; in parentheses they may stand in several lines.
+# Imports at any indentation; in parentheses they may span several lines.
 _FROM: Final = re.compile(r"^[ \t]*from (cpam_bayes[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
 _IMPORT: Final = re.compile(r"^[ \t]*import (cpam_bayes[\w.]*)", re.MULTILINE)
-# What decides how an answer looks, and how it is asked for.
+# Modules of presentation and of the command line.
 _APPEARANCE: Final = frozenset({"render", "result", "command", "cli", "__main__", "__init__"})
 
-# A docstring, a comment or nothing as whole lines; other strings of several lines are taken as they are.
+# Docstrings, comments and blank lines, as whole lines; other multi-line strings are kept as they are.
 _WORDS: Final = re.compile(
     r'''^[ \t]*"""(?:.|\n)*?"""[ \t]*(?:\n|\Z)|^[ \t]*(?:#[^\n]*)?\n|((?<!')"""(?:.|\n)*?""")''', re.MULTILINE
 )
@@ -38,7 +37,7 @@ def fingerprint(module: str) -> str:
 
 
 def fingerprint_of_script(script: Path, public: Mapping[str, str]) -> str:
-    """The same of a script outside of the package: of what it imports from the package, not of itself.
+    """Fingerprint of what a script outside the package imports from it, without the script itself.
 
     public : public name of the package -> the module that holds it; a script calls them as cb.NAME
     """
@@ -47,7 +46,7 @@ def fingerprint_of_script(script: Path, public: Mapping[str, str]) -> str:
 
 
 def sources_of(modules: Iterable[str], start: Iterable[Path | None]) -> list[Path]:
-    """The files of modules and of all that these import, in the order of their names."""
+    """Files of modules and of everything they import, sorted by name."""
     found = {file for file in start if file is not None}
     waiting = list(modules)
     while waiting:
@@ -73,12 +72,12 @@ def _hash(files: Iterable[Path]) -> str:
 
 
 def without_words(source: str) -> str:
-    """The text of a module without its docstrings, lines of comment and blank lines."""
+    """The text of a module without its docstrings, comment lines and blank lines."""
     return _WORDS.sub(lambda found: found[1] or "", source)
 
 
 def _imports_of(file: Path | None) -> Iterator[str]:
-    """Full names of modules of this package that a file imports, those of names in them included."""
+    """Full names of this package's modules, and of names in them, that a file imports."""
     if file is None:
         return
     text = file.read_text(encoding="utf-8")
@@ -89,7 +88,7 @@ def _imports_of(file: Path | None) -> Iterator[str]:
 
 
 def _file(module: str) -> Path | None:
-    """The file of a module, None for a name that is none."""
+    """The file of a module, None if there is no such module."""
     place = _PACKAGE.joinpath(*module.split(".")[1:])
     for file in (place.with_suffix(".py"), place / "__init__.py"):
         if place != _PACKAGE and file.is_file():

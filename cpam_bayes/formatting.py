@@ -1,4 +1,4 @@
-"""How numbers are written: as many digits as they are worth."""
+"""Number formatting, with as many digits as are significant."""
 
 from __future__ import annotations
 
@@ -9,35 +9,35 @@ from collections.abc import Iterable, Sequence
 NOT_KNOWN = "-"
 # Probabilities below this have digits that depend on the processor.
 LEAST_PROBABILITY = 1e-12
-# Characters of a name that a file name may not have anywhere, or may not everywhere.
+# Characters that all or some file systems refuse in a file name.
 _NOT_IN_FILES = re.compile(r"[^\w.&()+-]+")
 _LONGEST_STEM = 80
 
 
 def file_stem(name: str) -> str:
-    """A name that people gave as a file name without ending: what no file system takes becomes "_"."""
+    """A user's name as a file name without suffix; characters that file systems refuse become "_"."""
     return _NOT_IN_FILES.sub("_", name).strip("._ ")[:_LONGEST_STEM] or "plate"
 
 
 def fixed(value: float, decimals: int) -> str:
-    """A number with so many decimals, without a minus before zero."""
+    """A number with the given decimals, without a minus sign before zero."""
     text = f"{value:.{decimals}f}"
     return text.removeprefix("-") if float(text) == 0.0 else text
 
 
 def signed(value: float, decimals: int) -> str:
-    """A number with so many decimals and its sign, that of zero being plus."""
+    """A number with the given decimals and its sign; zero has a plus."""
     text = fixed(value, decimals)
     return text if text.startswith("-") else f"+{text}"
 
 
 def probable(p: float) -> str:
-    """A probability with three digits; what no computation tells from zero is said to be less than 1e-12."""
+    """A probability to three digits; values indistinguishable from zero are shown as below 1e-12."""
     return f"{p:.3g}" if p >= LEAST_PROBABILITY else f"< {LEAST_PROBABILITY:g}"
 
 
 def significant(value: float, digits: int = 4) -> str:
-    """A number with so many significant digits, trailing zeros included."""
+    """A number to the given significant digits, trailing zeros included."""
     if not math.isfinite(value):
         return NOT_KNOWN
     if value == 0.0:
@@ -66,7 +66,7 @@ def decimals_of(values: Iterable[float]) -> int:
 
 
 def listed(names: Sequence[str], word: str) -> str:
-    """Names with commas, and a word before the last."""
+    """Names joined by commas, with a word such as "and" before the last."""
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} {word} {names[-1]}"

@@ -37,9 +37,9 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class Coupled:
-    """The place of a parameter among some whose priors are correlated.
+    """A parameter's place in a group whose priors are correlated.
 
-    group : what they are of, the file that tells their correlations
+    group : the file that states their correlations
     correlation : of their normal scores, a row for each
     row : of the parameter
     """
@@ -57,11 +57,11 @@ class Parameter:
     unit : SI, "" when dimensionless
     prior : in that unit
     null : the value that gives back the plain model, for the parameters of an effect
-    shown : unit for people and the factor from `unit`, None for `unit` itself
+    shown : display unit and the factor from `unit`, None for `unit` itself
     kind : "scatter" for the relative deviation of a plate's constant from that of its material
-    base : the name that it has where there is but one plate, or of the constant that it scatters about
-    of : the plate, material or list that it belongs to, "" where there is but one
-    coupled : its place among others whose priors are correlated with its own, None where it is independent
+    base : its name where there is only one plate, or the constant that it scatters about
+    of : the plate, material or list that it belongs to, "" where there is only one
+    coupled : its group of correlated priors, None where it is independent
     """
 
     name: str
@@ -87,12 +87,12 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class ParameterSet:
-    """Parameters in the order in which a vector holds them.
+    """Parameters in the order of a vector's entries.
 
     parameters : the ones that vary, `size` of them
-    fixed : (name, value) of the ones held at a value; `mapping` gives them too
-    root : (size, size) lower, L with L L^T the correlation of the priors' normal scores, a Gaussian copula;
-        None where all are independent
+    fixed : (name, value) of the ones held fixed; `mapping` includes them
+    root : (size, size) lower triangular L, L L^T the correlation of the priors' normal scores, a Gaussian
+        copula; None where all are independent
     raises ValueError when a name occurs twice
     """
 
@@ -137,14 +137,14 @@ class ParameterSet:
         return name in self.names
 
     def __getitem__(self, name: str) -> Parameter:
-        """The varying parameter of this name; KeyError says which names there are."""
+        """The varying parameter of this name; KeyError lists the names there are."""
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
         raise KeyError(f"parameter {name!r}: there are {list(self.names)}")
 
     def union(self, other: ParameterSet) -> ParameterSet:
-        """Both sets, in order, what they share once.
+        """The union of both sets, in order, shared parameters once.
 
         raises ValueError when a name is defined differently in the two
         """
@@ -197,7 +197,7 @@ class ParameterSet:
         return named | fixed
 
     def vector(self, mapping: Mapping[str, ArrayLike]) -> NDArray[Any]:
-        """Names to vectors: {name: (...)} -> (..., size); names beyond the set are left aside.
+        """Names to vectors: {name: (...)} -> (..., size); names beyond the set are ignored.
 
         raises ValueError for a missing name
         """
@@ -262,7 +262,7 @@ class ParameterSet:
 
 
 def _root(parameters: tuple[Parameter, ...]) -> NDArray[np.float64] | None:
-    """`ParameterSet.root`; what is missing of a group is integrated over."""
+    """`ParameterSet.root`; missing members of a group are integrated out."""
     groups: dict[Any, list[int]] = {}
     for i, parameter in enumerate(parameters):
         if parameter.coupled is not None:
@@ -278,7 +278,7 @@ def _root(parameters: tuple[Parameter, ...]) -> NDArray[np.float64] | None:
 
 
 def read_only(values: ArrayLike) -> NDArray[np.float64]:
-    """A copy as an array of floats that cannot be written to."""
+    """A read-only copy as an array of floats."""
     array = np.array(values, dtype=float)
     array.flags.writeable = False
     return array

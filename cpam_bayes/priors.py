@@ -21,11 +21,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class PriorNumbers:
-    """A prior in figures, in the unit that they were asked for in.
+    """Summary numbers of a prior, in the unit requested.
 
     kind : of density, in words
-    centre : before the cut at the bounds; None where nothing but a range is known
-    scale : standard deviation before the cut; after it where nothing but a range is known
+    centre : before truncation at the bounds; None where only a range is known
+    scale : standard deviation before truncation; after it where only a range is known
     mean, sd, lower, upper : within the bounds
     """
 
@@ -42,7 +42,7 @@ class Prior(ABC):
     """A normalised density on [lower, upper].
 
     kind : of density, in words
-    is_range : whether nothing but the bounds is known
+    is_range : whether only the bounds are known
     """
 
     __slots__ = ()
@@ -63,7 +63,7 @@ class Prior(ABC):
 
     @property
     def typical(self) -> float:
-        """The size of an effect of this prior: one scale of a density about zero, else the mean."""
+        """Typical size of an effect: one scale of a density about zero, else the mean."""
         return self.mean
 
     @property
@@ -73,7 +73,7 @@ class Prior(ABC):
 
     @property
     def parts(self) -> tuple[tuple[float, Prior], ...]:
-        """The densities that it is a sum of, with their fractions; of one density the prior itself."""
+        """Mixture components with their fractions; the prior itself where it is no mixture."""
         return ((1.0, self),)
 
     def describe(self, in_unit: Callable[[float], float] = float) -> PriorNumbers:
@@ -84,9 +84,9 @@ class Prior(ABC):
         return PriorNumbers(self.kind, own, *(in_unit(value) for value in numbers))
 
     def rescaled(self, factor: float) -> Prior:
-        """The prior with its scale multiplied and its bounds kept; one without a scale as it is.
+        """The prior with its scale multiplied and its bounds kept; unchanged where it has no scale.
 
-        Of a mixture the narrow part is rescaled.
+        Of a mixture only the narrow part is rescaled.
         """
         del factor
         return self
@@ -108,7 +108,7 @@ class Prior(ABC):
 
     @property
     def reach(self) -> float:
-        """The score beyond which quantiles say nothing more: they are at the bounds, or rounding."""
+        """The normal score beyond which quantiles carry no information: bounds, or rounding."""
         return 7.0
 
     def cdf(self, x: ArrayLike) -> Floats:
@@ -180,14 +180,14 @@ class Uniform(Prior):
 
 
 class _Logarithmic(Prior):
-    """A density of which that of the logarithm is known."""
+    """A density defined by that of the logarithm."""
 
     __slots__ = ("_known_logarithm",)
     _known_logarithm: Uniform | TruncatedNormal
 
     @property
     def _of_logarithm(self) -> Uniform | TruncatedNormal:
-        # made once, as the cut of a truncated density
+        # computed once, like the cut of a truncated density
         try:
             return self._known_logarithm
         except AttributeError:
@@ -199,7 +199,7 @@ class _Logarithmic(Prior):
 
     @property
     def reach(self) -> float:
-        """That of the logarithm."""
+        """Reach of the logarithm's density."""
         return self._of_logarithm.reach
 
     def sample(self, rng: np.random.Generator, size: int) -> Floats:
@@ -220,7 +220,7 @@ class _Logarithmic(Prior):
 
 @dataclass(frozen=True, slots=True)
 class LogUniform(_Logarithmic):
-    """A density whose logarithm is uniform: all orders of magnitude between two bounds alike.
+    """The density of a quantity with uniform logarithm: all orders of magnitude within the bounds alike.
 
     raises ValueError for a lower bound that is not positive, and as ``Uniform``
     """
@@ -263,7 +263,7 @@ class LogUniform(_Logarithmic):
 
 
 class _Truncated(Prior):
-    """A density of location and scale, cut at bounds."""
+    """A location-scale density truncated at bounds."""
 
     __slots__ = ("_known_cut",)
     _known_cut: _Cut
@@ -276,7 +276,7 @@ class _Truncated(Prior):
     @property
     @abstractmethod
     def _moments(self) -> tuple[float, float]:
-        """Mean and variance in scales about the centre, mirrored as the cut is."""
+        """Mean and variance in scales about the centre, mirrored like the cut."""
 
     @abstractmethod
     def _distribution(self, t: Any) -> Any:
@@ -339,16 +339,16 @@ class _Truncated(Prior):
         return np.asarray(cut.sign * side * ndtri(p))
 
     def _tail(self, t: Floats) -> tuple[Floats, Floats]:
-        """-1 where a point is on the upper side, else 1, and the probability outside the bound there.
+        """-1 where a point is on the upper side, else 1, and the probability beyond the bound there.
 
-        A probability near one has lost its digits; the standard densities are even. After mirroring all of a
-        density may be on the lower side.
+        Probabilities near one have lost their digits; the standard densities are even. After mirroring, the
+        whole density may be on the lower side.
         """
         upper = (t > 0.0) & (self._cut.b > 0.0)
         return np.where(upper, -1.0, 1.0), np.where(upper, self._cut.above, self._cut.below)
 
     def _at(self, t: Floats) -> Floats:
-        """x so many scales from the centre, mirrored as the cut is."""
+        """x at t scales from the centre, mirrored like the cut."""
         return _clipped(self._centre + self.scale * self._cut.sign * t, self.lower, self.upper)
 
 
@@ -369,11 +369,11 @@ class _Cut:
 
 @dataclass(frozen=True, slots=True)
 class TruncatedNormal(_Truncated):
-    """A normal density cut at bounds, which may be infinite.
+    """A normal density truncated at bounds, which may be infinite.
 
-    loc, scale : mean and standard deviation before the cut; `mean` and `sd` are those after it
+    loc, scale : mean and standard deviation before truncation; `mean` and `sd` are those after it
     raises ValueError for a scale that is not positive, bounds that do not ascend, or bounds so far
-        from loc that nothing is left between them
+        from loc that they leave no probability
     """
 
     kind: ClassVar[str] = "truncated normal"
@@ -395,7 +395,7 @@ class TruncatedNormal(_Truncated):
 
     @property
     def reach(self) -> float:
-        """As far as probabilities are numbers, some 37 standard deviations."""
+        """Some 37 standard deviations, beyond which probabilities underflow."""
         return 37.0
 
     def _distribution(self, t: Any) -> Any:
@@ -434,13 +434,13 @@ class TruncatedNormal(_Truncated):
 
 @dataclass(frozen=True, slots=True)
 class ScaledStudentT(_Truncated):
-    """A Student-t density about zero cut at bounds, which may be infinite: the prior of an effect.
+    """A Student-t density about zero truncated at bounds, which may be infinite: the prior of an effect.
 
-    scale : one standard deviation in the sense of the effects' catalogue, before the cut
+    scale : one standard deviation in the sense of the effects' catalogue, before truncation
     degrees_of_freedom : above 2, so that the variance exists
-    `mean` and `sd` are those after the cut
+    `mean` and `sd` are those after truncation
     raises ValueError for a scale that is not positive, too few degrees of freedom, bounds that do
-        not ascend, or bounds between which nothing is left
+        not ascend, or bounds that leave no probability
     """
 
     kind: ClassVar[str] = "Student-t"
@@ -508,10 +508,10 @@ class ScaledStudentT(_Truncated):
 
 @dataclass(frozen=True, slots=True)
 class TruncatedLogNormal(_Logarithmic):
-    """A density whose logarithm is normal, cut at bounds.
+    """The density of a quantity with normal logarithm, truncated at bounds.
 
-    median : before the cut
-    log_sd : standard deviation of ln x before the cut
+    median : before truncation
+    log_sd : standard deviation of ln x before truncation
     raises ValueError for a median or a lower bound that is not positive, and as ``TruncatedNormal``
     """
 
@@ -574,7 +574,7 @@ class TruncatedLogNormal(_Logarithmic):
 class Mixture(Prior):
     """The density (1 - q) p + q p' of two priors between the same finite bounds.
 
-    Between the same bounds the density is smooth, and so is the map from standard normal scores.
+    With common bounds the density is smooth, and so is the map from standard normal scores.
 
     narrow, wide : p and p'
     fraction : q, the probability of the wide one
@@ -617,7 +617,7 @@ class Mixture(Prior):
 
     @property
     def typical(self) -> float:
-        """That of the narrow part."""
+        """Typical size of the narrow part."""
         return self.narrow.typical
 
     @property
@@ -644,7 +644,7 @@ class Mixture(Prior):
         return np.asarray(np.where(rng.uniform(size=size) < self.fraction, draws[1], draws[0]))
 
     def from_normal(self, z: ArrayLike) -> Floats:
-        """x with F(x) = Phi(z), (...) -> (...), cubic between tabulated quantiles.
+        """x with F(x) = Phi(z), (...) -> (...), by cubic interpolation of tabulated quantiles.
 
         Between scores of -5 and 5 the error of z is below 1e-9 where the bounds are within 50 narrow scales.
         """
@@ -668,15 +668,15 @@ class Mixture(Prior):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Ranges(Uniform):
-    """Uniform densities side by side, their bounds (n,)."""
+    """Several uniform densities, with bounds (n,)."""
 
     def __post_init__(self) -> None:
-        """Each has been checked by itself."""
+        """Skip the checks: each density has been checked by itself."""
 
 
 @dataclass(frozen=True)
 class Priors:
-    """Independent priors side by side, each asked about its part of the last axis, uniform ones at once."""
+    """Independent priors along the last axis; uniform ones are evaluated together."""
 
     priors: tuple[Prior, ...]
 
@@ -705,7 +705,7 @@ class Priors:
 
     @cached_property
     def reach(self) -> Floats:
-        """That of each, (n,)."""
+        """Reach of each prior, (n,)."""
         return np.array([prior.reach for prior in self.priors])
 
     def log_densities(self, x: Floats) -> Floats:
@@ -719,20 +719,20 @@ class Priors:
 # Nodes and weights of Gauss-Legendre quadratures.
 _GAUSS_40 = np.polynomial.legendre.leggauss(40)
 _GAUSS_64 = np.polynomial.legendre.leggauss(64)
-# Below this width in scales the closed forms of the moments cancel; a quadrature does not.
+# Below this width in scales the closed forms of the moments lose digits; a quadrature does not.
 _NARROW = 1.0
 # The quantiles of a mixture are tabulated over these scores, where probabilities reach 1e-17 on both sides.
 _END, _INTERVALS = 8.5, 8192
-# Within this fraction of the range from a bound the density is that at the bound: the distribution
-# functions have lost their digits there.
+# Within this fraction of the range from a bound the density is taken as that at the bound: the
+# distribution functions have lost their digits there.
 _NEAR = 1e-8
-# Scores at which each part's quantiles make a first table, and Newton steps from its values.
+# Scores in the first table of each part's quantiles, and Newton steps from its values.
 _FIRST, _NEWTON = 1000, 4
 
 
 @lru_cache(maxsize=512)
 def _table(prior: Mixture) -> Any:
-    """Coefficients of t^0 to t^3, t from 0 to 1 in an interval of scores, (n, 4).
+    """Cubic coefficients of t^0 to t^3, t from 0 to 1 in each interval of scores, (n, 4).
 
     Values by Newton's method, slopes dx/dz = phi(z) / p(x).
     """
@@ -791,7 +791,7 @@ def _first_moment(nu: float, t: float) -> float:
 
 
 def _clipped(x: Floats, lower: float | Floats, upper: float | Floats) -> Floats:
-    """As ``np.clip``, whose checks take longer than the work on short arrays."""
+    """``np.clip`` without its checks, which dominate on short arrays."""
     return np.asarray(np.minimum(np.maximum(x, lower), upper))
 
 

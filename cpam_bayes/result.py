@@ -1,7 +1,7 @@
-"""The abilities of every answer: it is read, drawn, saved, and given on as numbers.
+"""The base of every answer: it can be read, plotted, saved, and exported as numbers.
 
-A verb (`forward`, `identify`, `diagnose`, ...) returns a subclass of `Result`: all numbers, the notices and
-the status, computed and complete. How it looks is its `report()`, made when it is asked for.
+A verb (`forward`, `identify`, `diagnose`, ...) returns a subclass of `Result` with all numbers, the notices
+and the status. Its presentation, `report()`, is made on request.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @singledispatch
 def present(result: Any) -> Report:
-    """All that is shown of an answer: a question registers how its own is presented."""
+    """The report of an answer; each question registers the function for its own result."""
     raise TypeError(f"present: received {type(result).__name__}, accepted: the result of a question")
 
 
@@ -60,17 +60,17 @@ class Result:
 
     @property
     def slips(self) -> tuple[str, ...]:
-        """The sentences among them of what most likely ruins the answer."""
+        """The warnings that most likely ruin the answer."""
         return sentences(self.notices, "slip")
 
     @property
     def cautions(self) -> tuple[str, ...]:
-        """The other sentences among them."""
+        """The other warnings."""
         return sentences(self.notices, "warning")
 
     @property
     def status(self) -> str:
-        """How the computation ended; "done" where nothing has to converge."""
+        """The outcome of the computation; "done" where nothing has to converge."""
         return "done"
 
     @property
@@ -80,12 +80,12 @@ class Result:
 
     @property
     def title(self) -> str:
-        """The name of what was asked about, for headings."""
+        """Name of the subject, for headings."""
         return ""
 
     @property
     def about(self) -> tuple[Specimen, ...]:
-        """The plates that were asked about, to be drawn; none for a question about no plate."""
+        """The plates in question, for drawings; none for a question about no plate."""
         return ()
 
     def __repr__(self) -> str:
@@ -102,7 +102,7 @@ class Result:
         return Summary(title, headline, tables, lines, next_step, self.slips, self.cautions)
 
     def report(self) -> Report:
-        """All that is shown of the answer, as `present` makes it."""
+        """The report of the answer, made by `present`."""
         return present(self)
 
     def summary(self, *, verbose: bool = False) -> str:
@@ -111,7 +111,7 @@ class Result:
         return "\n".join(plain_text(table) for table in shown if table.rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON document of the command, in units of the plate file; None for what is no finite number.
+        """The JSON document of the command, in units of the plate file; None for values that are not finite.
 
         It holds the fingerprint of the sources that the answer depends on.
         """
@@ -132,11 +132,11 @@ class Result:
         return data_frame(self.report().written, name)
 
     def drawings(self) -> tuple[Drawing, ...]:
-        """All drawings, one of them of the plate: the last where the report draws none itself."""
+        """All drawings; one of the plate is appended where the report has none."""
         return self.saved_report().drawings
 
     def saved_report(self) -> Report:
-        """The report as files hold it: the whole document and all drawings."""
+        """The report as it is saved: the whole document and all drawings."""
         from cpam_bayes.render.plate import PLATE, plate_drawing
 
         report = self.report()
@@ -204,7 +204,7 @@ class Result:
 
 
 def document_of(result: Result, report: Report) -> dict[str, Any]:
-    """The JSON document of an answer whose report is made, with the fingerprint of its sources."""
+    """The JSON document of an answer and its report, with the fingerprint of its sources."""
     keys = dict(plain(report.document))
     head = {key: keys.pop(key) for key in ("command", "version") if key in keys}
     return {**head, "fingerprint": fingerprint(type(result).__module__), **keys}
@@ -214,7 +214,7 @@ def document_of(result: Result, report: Report) -> dict[str, Any]:
 class PlateResult(Result):
     """The answer to a question about one plate.
 
-    What reading its measurement left doubtful is a warning of every such answer.
+    Doubts from reading its measurement are warnings of every such answer.
 
     air_shifts : (n,) relative changes of the lowest frequencies that the air of a room would cause, None
     where air is in the model or its effect is not computed.
@@ -257,7 +257,7 @@ class PlatesResult(Result):
 
 
 def within_time(verb: Callable[P, R]) -> Callable[P, R]:
-    """A function whose answer says first what it lacks because time was up (`cpam_bayes.running`)."""
+    """Wrap a verb so that its answer first says what is missing when time is up (`cpam_bayes.running`)."""
 
     @wraps(verb)
     def telling(*args: P.args, **kwargs: P.kwargs) -> R:

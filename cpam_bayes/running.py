@@ -1,9 +1,9 @@
-"""How work runs: progress, the time limit, one thread of BLAS, and stacks of matrices on all cores.
+"""Running work: progress, the time limit, a single BLAS thread, and stacks of matrices on all cores.
 
-A time limit ends long work with the best answer so far. BLAS splits one small matrix over its threads and
-loses more by that than it gains. A stack is split into matrices instead: numpy lets go of the interpreter
-while LAPACK works on them, and what comes out for a matrix does not depend on its neighbours, so the answer
-is the same on any number of cores.
+A time limit ends long work with the best answer so far. Splitting one small matrix over BLAS threads costs
+more than it gains. A stack is split into matrices instead: numpy releases the interpreter lock while LAPACK
+works on them, and the result for a matrix does not depend on its neighbours, so the answer is the same on
+any number of cores.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from cpam_bayes.errors import checked
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """The reports of a computation while it runs.
+    """Callbacks of a running computation.
 
-    tick : called with (iterations done, value to show). notify : called with what begins that takes long.
-    found : called with shares of what is compared, so far, by its title
+    tick : called with (iterations done, value to show). notify : called with the name of a long step that
+    begins. found : called with the current shares of what is compared, by title
     """
 
     tick: Callable[[int, float], None]
@@ -49,7 +49,7 @@ class Watch(Protocol):
         """Show one line about what begins."""
 
     def promise(self, text: str) -> None:
-        """Show one line that must stand before the answer, whatever else is left out."""
+        """Show one line that must precede the answer, whatever else is left out."""
 
     def stage(
         self, title: str, total: int, described: Described | None = None, counted: str = ""
@@ -57,13 +57,13 @@ class Watch(Protocol):
         """Show one stage of the work until it ends.
 
         total : the budget of iterations, which need not be used up, or the number of ``counted``, such as
-        "plates", all of which are done.
+        "plates", all of which are processed.
         """
 
 
 class _Silent:
     def __repr__(self) -> str:
-        """As signatures in `help` show the default."""
+        """The default as shown in signatures by `help`."""
         return "SILENT"
 
     def announce(self, text: str) -> None:
@@ -93,7 +93,7 @@ class TimeLimit:
 
     seconds : the limit
     end : when it is reached, by the clock of ``time.monotonic``
-    missing : what was left out for it, as code and facts of a notice
+    missing : what was left out because of it, as code and facts of a notice
     """
 
     seconds: float
@@ -106,7 +106,7 @@ _limit: ContextVar[TimeLimit | None] = ContextVar("time_limit", default=None)
 
 @checked
 def time_limit(seconds: float | None) -> AbstractContextManager[None]:
-    """End what is computed inside after about so many seconds, with the best answer so far.
+    """End the computation inside after about this many seconds, with the best answer so far.
 
     The answer then says first what is missing, and has not reached its goal. Where there is nothing to
     answer yet, ``TimeIsUpError`` is raised. A limit inside another one replaces it; ``None`` lifts it.
@@ -140,7 +140,7 @@ def _limited(seconds: float | None) -> Iterator[None]:
 
 
 def current_limit() -> TimeLimit | None:
-    """The limit that what runs here is under."""
+    """The time limit in force here, None if there is none."""
     return _limit.get()
 
 
@@ -151,7 +151,7 @@ def is_time_up() -> bool:
 
 
 def cut_short(code: str, **facts: Any) -> None:
-    """Note what the answer lacks because time is up; the sentence of the code is a part of one."""
+    """Note what the answer lacks because time is up; the text of the code becomes part of a sentence."""
     limit, missing = current_limit(), (code, facts)
     if limit is not None and missing not in limit.missing:
         limit.missing.append(missing)
@@ -168,17 +168,17 @@ P = ParamSpec("P")
 R = TypeVar("R")
 Array = NDArray[Any]
 
-# Entries of a stack (m, n, n) from which sharing out pays: it costs a tenth of a millisecond, and
-# eigenvalues of 50 matrices of 20 rows take seven tenths.
+# Entries of a stack (m, n, n) from which threads pay: they cost 0.1 ms, and the eigenvalues of 50 matrices
+# of 20 rows take 0.7 ms.
 _WORTH_SHARING = 20_000
 
 _this_thread = local()
 
 
 def matrix_by_matrix(function: Callable[[Array], Array], stack: Array) -> Array:
-    """``function`` of a stack of matrices (m, n, n), in as many threads as there are cores.
+    """Apply ``function`` to a stack of matrices (m, n, n), in as many threads as there are cores.
 
-    function : numpy's, of a stack, that treats each matrix for itself, such as ``np.linalg.eigvalsh``.
+    function : of numpy, treating each matrix of a stack independently, such as ``np.linalg.eigvalsh``.
     Small stacks, and all stacks where ``keep_to_one_core`` is in force, stay in the calling thread.
     """
     n = 1 if getattr(_this_thread, "one_core", False) else cores()
@@ -191,7 +191,7 @@ def matrix_by_matrix(function: Callable[[Array], Array], stack: Array) -> Array:
 
 @contextmanager
 def keep_to_one_core() -> Iterator[None]:
-    """Let this thread distribute nothing: it is one of several that work side by side."""
+    """Keep this thread from distributing work: it is one of several that run in parallel."""
     before = getattr(_this_thread, "one_core", False)
     _this_thread.one_core = True
     try:
@@ -227,7 +227,7 @@ def single_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
 
 
 class _Hold:
-    """The limit of this process and how many functions rely on it."""
+    """The BLAS limit of this process and the number of functions that rely on it."""
 
     def __init__(self) -> None:
         self._lock = Lock()
@@ -256,7 +256,7 @@ class _Hold:
 def _release_openblas() -> None:
     """Let this thread set the limit of OpenBLAS.
 
-    Newer versions of threadpoolctl let one thread alone do so, while it lives, and ignore all others.
+    Newer versions of threadpoolctl let only one thread do so, while it lives, and ignore all others.
     """
     from threadpoolctl import OpenBLASController
 

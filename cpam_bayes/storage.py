@@ -1,9 +1,9 @@
-"""Files that are whole or not there: drafts, sealed files, arrays in them, and the directory of the cache.
+"""Atomic files: drafts, sealed files, arrays in them, and the cache directory.
 
-A draft stands beside the place of the finished file, under a name that says whose it is; drafts of killed
-processes are swept by the next one that makes a draft there. A sealed file is content behind a checksum,
-written to a draft, flushed to the disk and renamed; one that is damaged, foreign or in another file's place
-is never used, but set aside. Several processes may write to one directory at once: files appear and go whole.
+A draft is written beside the finished file, under a name that identifies its owner; drafts of killed
+processes are removed by the next process that makes one there. A sealed file is content behind a checksum,
+written to a draft, flushed to disk and renamed; one that is damaged, foreign or in another file's place is
+never used, but set aside. Several processes may write to one directory at once.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from numpy.typing import NDArray
 
 _PREFIX: Final = ".cpam-bayes-"
 _OWNER: Final = re.compile(rf"{re.escape(_PREFIX)}(?P<machine>[0-9a-f]{{8}})-(?P<process>[0-9]{{1,10}})-")
-# Age at which a draft is swept whose owner is on another machine, or not known, s.
+# Age at which a draft is removed whose owner is unknown or on another machine, s.
 _ABANDONED_SECONDS: Final = 86_400.0
 
 
 @contextmanager
 def draft_directory(parent: Path | None = None) -> Iterator[Path]:
-    """A directory to write in, removed at the end; parent : by default that of temporary files.
+    """A temporary directory, removed at the end; parent : by default the system's temporary directory.
 
     Raises ``OSError`` where it cannot be made.
     """
@@ -53,9 +53,9 @@ def draft_directory(parent: Path | None = None) -> Iterator[Path]:
 
 @contextmanager
 def draft_file(parent: Path | None = None) -> Iterator[tuple[Path, BufferedRandom]]:
-    """A file to write to and read from, open; removed at the end unless it was renamed.
+    """An open temporary file to read and write; removed at the end unless it was renamed.
 
-    parent : by default that of temporary files.
+    parent : by default the system's temporary directory.
 
     Raises ``OSError`` where it cannot be made.
     """
@@ -72,7 +72,7 @@ def draft_file(parent: Path | None = None) -> Iterator[tuple[Path, BufferedRando
 
 
 def replaceable(path: Path) -> bool:
-    """Whether a file may be put there: nothing is, or a regular file, which no link stands for."""
+    """Whether a file may be put there: the path is free, or a regular file and no link."""
     return not os.path.lexists(path) or (path.is_file() and not path.is_symlink())
 
 
@@ -84,7 +84,7 @@ def put_in_place(draft: Path, path: Path) -> None:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Put a file in its place that is there whole or not at all; raise ``OSError`` where that fails."""
+    """Write a file atomically; raise ``OSError`` where that fails."""
     with draft_directory(path.parent) as folder:
         draft = folder / "file"
         draft.write_bytes(content)
@@ -137,7 +137,7 @@ def _sweep_once(directory: Path) -> None:
 
 @cache
 def _machine() -> str:
-    """The scope of process numbers: a host, and there the container."""
+    """Hash of the scope of process numbers: the host and its container."""
     space = Path("/proc/self/ns/pid")
     name = f"{socket.gethostname()} {os.readlink(space) if space.is_symlink() else ''}"
     return hashlib.sha256(name.encode()).hexdigest()[:8]
@@ -148,7 +148,7 @@ def _own_prefix() -> str:
 
 
 DAMAGED: Final = ".damaged"
-"""Ending of the name of a file that was set aside."""
+"""Suffix of a file that was set aside."""
 _HEAD: Final = b"cpam-bayes sealed 1 "
 _LOG: Final = logging.getLogger(__name__)
 
@@ -162,7 +162,7 @@ def seal_of(name: str, *content: bytes | memoryview) -> str:
 
 
 def write_sealed(path: Path, content: bytes | memoryview) -> None:
-    """Put a sealed file in its place, whole; raise ``OSError`` where that fails."""
+    """Write a sealed file atomically; raise ``OSError`` where that fails."""
     with draft_file(path.parent) as (draft, file):
         file.write(_HEAD + seal_of(path.name, content).encode() + b"\n")
         file.write(content)
@@ -174,9 +174,9 @@ def write_sealed(path: Path, content: bytes | memoryview) -> None:
 
 
 def read_sealed(path: Path) -> bytes | None:
-    """The content of a sealed file; ``None`` if there is none, or none that is whole: it is set aside.
+    """The content of a sealed file; ``None`` if there is none, or if it is damaged and thus set aside.
 
-    Raises ``OSError`` where a file that is there cannot be read.
+    Raises ``OSError`` where an existing file cannot be read.
     """
     try:
         with path.open("rb") as file:
@@ -207,7 +207,7 @@ def set_aside(path: Path) -> None:
 
 
 def _flush_directory(directory: Path) -> None:
-    """Make a rename last; some file systems cannot."""
+    """Make a rename durable; some file systems cannot."""
     with suppress(OSError):
         handle = os.open(directory, os.O_RDONLY)
         try:
@@ -219,7 +219,7 @@ def _flush_directory(directory: Path) -> None:
 Array = NDArray[Any]
 
 ARRAYS: Final = ".arrays"
-"""Ending of such files."""
+"""Suffix of files of arrays."""
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Array]) -> None:
@@ -232,7 +232,7 @@ def write_arrays(path: Path, arrays: Mapping[str, Array]) -> None:
 def read_arrays(path: Path) -> dict[str, Array] | None:
     """The arrays of a file; ``None`` if there is none or it is damaged. Nothing is unpickled.
 
-    Raises ``OSError`` where a file that is there cannot be read.
+    Raises ``OSError`` where an existing file cannot be read.
     """
     content = read_sealed(path)
     if content is None:
@@ -246,7 +246,7 @@ def read_arrays(path: Path) -> dict[str, Array] | None:
 
 
 DIRECTORY_VARIABLE: Final = "CPAM_BAYES_CACHE"
-# Files of models that earlier versions kept there, of all that the directory holds.
+# Files of models that earlier versions kept in the cache directory.
 _MODEL: Final = re.compile(
     rf"[0-9a-f]{{32}}(-local[0-9]+)?({re.escape(ARRAYS)}|\.npz)({re.escape(DAMAGED)})?"
 )
@@ -264,7 +264,7 @@ def opened_draws(file: str | os.PathLike[str]) -> Any:
 
 
 def cache_directory() -> Path:
-    """Where results are kept by default: $CPAM_BAYES_CACHE, or the system's place for caches of a user."""
+    """Default directory of results: $CPAM_BAYES_CACHE, or the user's cache directory of the system."""
     chosen = os.environ.get(DIRECTORY_VARIABLE)
     if chosen:
         return Path(chosen)
@@ -275,7 +275,7 @@ def cache_directory() -> Path:
 
 @cache
 def name_unused_models() -> None:
-    """Say once where models of earlier versions are and what they take, in a process that has no parent."""
+    """Warn once, in a process without a parent, of models of earlier versions: their place and size."""
     directory, size = cache_directory(), 0
     with suppress(OSError), os.scandir(directory) as entries:
         size = sum(e.stat(follow_symlinks=False).st_size for e in entries if _MODEL.fullmatch(e.name))

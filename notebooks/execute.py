@@ -2,7 +2,7 @@
 
 python notebooks/execute.py [NAME ...]
 
-Executed in this folder, cell by cell, in a kernel of this environment. Neither times nor versions are kept:
+Executed in this folder, cell by cell, in a kernel of this environment. Times and versions are not kept, so
 a notebook changes only where its results do.
 """
 
@@ -15,12 +15,12 @@ import nbformat
 from nbclient import NotebookClient
 
 FOLDER = Path(__file__).parent
-# What a notebook may take, s for each cell.
+# Time limit for each cell, s.
 TIMEOUT = 600
 
 
 def executed(path: Path) -> nbformat.NotebookNode:
-    """A notebook with the results of all its cells, computed anew.
+    """A notebook with the results of all its cells, computed afresh.
 
     Raises ``nbclient.exceptions.CellExecutionError`` where a cell fails.
     """
@@ -34,7 +34,7 @@ def executed(path: Path) -> nbformat.NotebookNode:
 
 
 def main() -> None:
-    """Execute the notebooks that are asked for, all by default."""
+    """Execute the notebooks that are named, all by default."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     names = sorted(path.stem for path in FOLDER.glob("*.ipynb"))
     parser.add_argument("names", nargs="*", choices=[*names, []], metavar="NAME", help=", ".join(names))

@@ -1,4 +1,4 @@
-"""A small answer of every command, computed once in a run for all tests of screens, figures and pages."""
+"""A small answer of every command, computed once per run for all tests of screens, figures and pages."""
 
 import os
 import tempfile
@@ -31,7 +31,7 @@ def proved(folder: Path) -> Result:
 
 
 def poles(folder: Path) -> Result:
-    """Of one mode at 120 Hz, as a table of its accelerance."""
+    """Result of `poles` for a table of the accelerance of one mode at 120 Hz."""
     f = np.arange(50.0, 200.0, 0.5)
     h = -((f / 120.0) ** 2) / (1.0 - (f / 120.0) ** 2 + 0.02j * f / 120.0)
     h = h + 1e-3 * np.random.default_rng(0).standard_normal((2, f.size)).T @ [1.0, 1.0j]
@@ -69,13 +69,13 @@ EVERY = [*QUICK, *(pytest.param(name, marks=MARKS[name]) for name in SLOW)]
 
 @once_a_run
 def answered(name: str) -> Result:
-    """The answer of a command, and of its variant after a comma."""
+    """The answer of a command, or of its variant named after a comma."""
     return {**QUICK, **SLOW}[name](new_folder())
 
 
 @once_a_run
 def table_7() -> tuple[Result, Path]:
-    """Table 7 of the paper with the small effort, and where it was stored."""
+    """Table 7 of the paper computed with the small effort, and its store."""
     store = new_folder()
     return cb.paper(7, quick=True, store=store), store
 

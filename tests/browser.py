@@ -1,4 +1,4 @@
-"""Chromium without a window, told over a pipe what to do, by the DevTools protocol; a page as it is seen."""
+"""Headless Chromium, driven over a pipe by the DevTools protocol; a page as it is seen."""
 
 import base64
 import json
@@ -20,7 +20,7 @@ _OPTIONS = (
 )
 _TIME_LIMIT = 60.0
 _MOST_LOOKS = 6000
-# The browser reads from descriptor 3 and writes to 4, whatever the numbers of the two pipes are here.
+# The browser reads from descriptor 3 and writes to 4, whatever the pipes' numbers in this process.
 _LAUNCH = """
 import fcntl, os, sys
 ends = [fcntl.fcntl(int(end), fcntl.F_DUPFD, 10) for end in sys.argv[1:3]]
@@ -28,7 +28,7 @@ for number, end in enumerate(ends, 3):
     os.dup2(end, number)
 os.execvp(sys.argv[3], sys.argv[3:])
 """
-# Text whose contrast against what lies behind it is below 4.5, with the ratio.
+# Text with a contrast to its background below 4.5, with the ratio.
 _FAINT = """
 (() => {
   const linear = (v) => v < 0.04 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4;
@@ -47,7 +47,7 @@ _FAINT = """
 })()
 """
 _OPEN_ALL = "document.querySelectorAll('details').forEach((d) => { d.open = true })"
-# Figures that a reader does not see: not loaded, without area, or beyond the window where nothing scrolls.
+# Invisible figures: not loaded, without area, or outside the window and unreachable by scrolling.
 _UNSEEN = """
 [...document.images].filter((i) => {
   const box = i.getBoundingClientRect();
@@ -60,7 +60,7 @@ _SMALL = """
 [...document.images].filter((i) => i.getBoundingClientRect().width < 0.85 * i.getAttribute("width"))
   .map((i) => i.alt)
 """
-# What scrolls sideways by itself and no key reaches.
+# Parts that scroll sideways on their own but cannot be reached by keyboard.
 _OUT_OF_REACH = """
 [...document.querySelectorAll("*")].filter((e) => e.scrollWidth > e.clientWidth + 1 && e.clientWidth
   && getComputedStyle(e).overflowX === "auto" && e.tabIndex < 0).length
@@ -69,7 +69,7 @@ _OUT_OF_REACH = """
 
 @dataclass
 class Browser:
-    """One open page; requests, console : all that it asked for and said, from its first page on."""
+    """One open page; requests, console : everything that it requested and logged, from its first page on."""
 
     to: int
     back: int
@@ -81,7 +81,7 @@ class Browser:
     _events: list[str] = field(default_factory=list)
 
     def call(self, method: str, may_fail: bool = False, **params: Any) -> dict[str, Any]:
-        """The answer to one call of the protocol; {} of one that failed and may."""
+        """Answer to one call of the protocol; {} if the call failed and may fail."""
         self._number += 1
         message: dict[str, Any] = {"id": self._number, "method": method, "params": params}
         message |= {"sessionId": self.session} if self.session else {}
@@ -92,11 +92,10 @@ class Browser:
         return dict(said.get("result", {}))
 
     def show(self, page: Path, width: int, height: int = 900) -> None:
-        """As `visit`, a page of the disk."""
         self.visit(page.resolve().as_uri(), width, height)
 
     def visit(self, url: str, width: int, height: int = 900) -> None:
-        """Open an address in a window of that width, and wait until it is whole."""
+        """Open an address in a window of this width, and wait until it has loaded."""
         window = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
         self.call("Emulation.setDeviceMetricsOverride", **window)
         self._events.clear()
@@ -105,13 +104,12 @@ class Browser:
             self._next()
 
     def value(self, expression: str) -> Any:
-        """What an expression gives on the page."""
         result = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
         assert "exceptionDetails" not in result, result
         return result["result"].get("value")
 
     def until(self, expression: str) -> None:
-        """Wait until an expression on the page is true, over a change of the page too."""
+        """Wait until an expression is true on the page, even if the page changes meanwhile."""
         later = f"new Promise((done) => setTimeout(() => done(!!({expression})), 100))"
         for _ in range(_MOST_LOOKS):
             asked = {"expression": later, "awaitPromise": True, "returnByValue": True}
@@ -121,7 +119,6 @@ class Browser:
         raise AssertionError(f"never: {expression}")
 
     def picture(self, path: Path, *, whole: bool = True) -> None:
-        """The page as PNG."""
         shot = self.call("Page.captureScreenshot", captureBeyondViewport=whole)
         path.write_bytes(base64.b64decode(shot["data"]))
 
@@ -149,10 +146,9 @@ class Browser:
 
 @contextmanager
 def open_browser() -> Iterator[Browser]:
-    """A browser with one page, closed in the end."""
     from_us, to_browser = os.pipe()
     from_browser, to_us = os.pipe()
-    # a process of the browser may still write into its profile when it has ended
+    # a process of the browser may still write into its profile after it has ended
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         ends = (str(from_us), str(to_us))
         command = [sys.executable, "-c", _LAUNCH, *ends, PROGRAM, *_OPTIONS, f"--user-data-dir={profile}"]
@@ -176,7 +172,7 @@ def open_browser() -> Iterator[Browser]:
 
 
 def faults(browser: Browser, page: Path, width: int) -> list[str]:
-    """What a reader of a page of the disk would complain of, its folded parts opened too."""
+    """Defects that a reader would see on a page on disk, with its folded parts opened too."""
     for former in (browser.requests, browser.console):
         former.clear()
     browser.show(page, width)
@@ -190,7 +186,7 @@ def faults(browser: Browser, page: Path, width: int) -> list[str]:
 
 
 def disturbing(browser: Browser, width: int) -> list[str]:
-    """What of the page that is open is wider than its window, too faint, or out of reach of the keys."""
+    """Parts of the open page that are wider than its window, too faint, or out of reach of the keyboard."""
     found = _wider(browser, width) + [f"faint: {text}" for text in browser.value(_FAINT)]
     return found + ["a part scrolls that no key reaches"] * browser.value(_OUT_OF_REACH)
 

@@ -1,4 +1,4 @@
-"""One BLAS thread for all tests, and the switch that makes a skipped test a failed one."""
+"""One BLAS thread for all tests, and the option that makes a skipped test a failed one."""
 
 import os
 from collections.abc import Callable, Generator
@@ -11,13 +11,13 @@ import pytest
 from tests import shared
 from tests.plate_file import MEASURED, PLATE
 
-# Before a test module loads numpy: two threads slow stacked eigenproblems down.
+# Before a test module loads numpy: two threads slow down stacked eigenproblems.
 os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 @dataclass(frozen=True)
 class FailuresAtOnce:
-    """Names what failed when it fails: a run that is cut off has said it."""
+    """Reports a failure when it happens, so that it is seen even if the run is cut off."""
 
     config: pytest.Config
 
@@ -29,7 +29,7 @@ class FailuresAtOnce:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Each process of pytest-xdist has a core of its own: commands under test start no workers beside it."""
+    """Give each process of pytest-xdist a core of its own, so that commands under test start no workers."""
     if "PYTEST_XDIST_WORKER" not in os.environ:
         config.pluginmanager.register(FailuresAtOnce(config))
     number = os.environ.get("PYTEST_XDIST_WORKER", "").removeprefix("gw")
@@ -40,7 +40,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def _run_directory(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """What commands keep by default is kept in the directory of the run, which its processes share."""
+    """Put default stores of commands into the directory of the run, which its processes share."""
     process = tmp_path_factory.getbasetemp()
     run = process.parent if "PYTEST_XDIST_WORKER" in os.environ else process
     os.environ |= {"CPAM_BAYES_CACHE": str(run / "cache"), shared.DIRECTORY: str(run / "shared")}
@@ -49,7 +49,7 @@ def _run_directory(tmp_path_factory: pytest.TempPathFactory) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def _models_of_the_run(_run_directory: None) -> None:
-    """Each plate model is made once in a run, by whichever process needs it first."""
+    """Make each plate model once per run, in whichever process needs it first."""
     from cpam_bayes.forward_model import build
 
     build._made = shared.ModelsOfTheRun(Path(os.environ[shared.DIRECTORY]))
@@ -57,7 +57,7 @@ def _models_of_the_run(_run_directory: None) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def _documents_follow_their_schemas() -> None:
-    """Each document that the package makes of an answer, in any test, is held against its schema."""
+    """Validate each document that the package makes in any test against its schema."""
     from cpam_bayes import result
     from cpam_bayes.questions import report
 
@@ -67,7 +67,7 @@ def _documents_follow_their_schemas() -> None:
         from cpam_bayes.documents import validated
 
         document = made(answer, shown)
-        if type(answer).__module__.startswith("cpam_bayes."):  # tests make answers of their own kinds
+        if type(answer).__module__.startswith("cpam_bayes."):  # tests make answers of other kinds
             try:
                 validated(answer.command, document)
             except ValueError as error:
@@ -79,7 +79,7 @@ def _documents_follow_their_schemas() -> None:
 
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[object, str, str]]:
-    """Run a command in this process: exit status, standard output, standard error."""
+    """Run a command in this process; returns exit status, standard output, standard error."""
     from cpam_bayes.cli import main
 
     def run_here(*argv: object) -> tuple[object, str, str]:
@@ -94,7 +94,7 @@ def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[object, str, 
 
 @pytest.fixture
 def plate_file(tmp_path: Path) -> Callable[..., str]:
-    """Write a plate file with some words replaced, by default the aluminium plate and its list; its path."""
+    """Write a plate file with replacements, by default the aluminium plate with its list; give its path."""
 
     def write(*changes: tuple[str, str], text: str = PLATE + MEASURED) -> str:
         for old, new in changes:
@@ -109,7 +109,7 @@ def plate_file(tmp_path: Path) -> Callable[..., str]:
 
 @pytest.fixture
 def few_causes(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A diagnosis weighs only causes that need no further plate model."""
+    """Make a diagnosis weigh only causes that need no further plate model."""
     from cpam_bayes.diagnosis import cases
     from cpam_bayes.questions import diagnose
     from tests.diagnosed import CHEAP
@@ -126,7 +126,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def _unless_allowed(report: Any, config: pytest.Config) -> Any:
-    """The report of a test or of a file, failed where it is skipped and --no-skips was given."""
+    """Report of a test or file, failed if it was skipped although --no-skips was given."""
     if report.skipped and not hasattr(report, "wasxfail") and config.option.no_skips:
         reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr
         report.outcome = "failed"

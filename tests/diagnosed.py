@@ -1,4 +1,4 @@
-"""Diagnoses whose truth is known, of hypotheses that need no further plate model."""
+"""Diagnoses with a known truth, of hypotheses that need no further plate model."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,25 +12,23 @@ from cpam_bayes.diagnosis.diagnose import Diagnosis, diagnose_cases
 from cpam_bayes.plate import parse_specimen
 from tests.plate_file import MEASURED, PLATE
 
-# Relative noise of the lists, and one draw of it in its own unit.
+# Relative noise of the lists, and one draw of it in units of its sd.
 NOISE = 0.002
 DRAWN = np.array([0.3, -0.8, 0.5, 0.9, -0.6, -0.2])
 
-# A list whose third frequency was misread by 5 %, over that of its model.
-MISREAD = np.array([1.0, 1.0, 1.05, 1.0, 1.0, 1.0])
-# Causes that need no further plate model.
-CHEAP = frozenset({"none", "other", "viscoelastic", "frequency_scale"})
+MISREAD = np.array([1.0, 1.0, 1.05, 1.0, 1.0, 1.0])  # third frequency misread by 5 %, as a factor on the list
+CHEAP = frozenset({"none", "other", "viscoelastic", "frequency_scale"})  # causes without further plate models
 
 
 def diagnosed(cases: Sequence[PlateCase], causes: Sequence[str], *, gain: bool = True) -> Diagnosis:
-    """The diagnosis with none, other and these causes alone, which act on frequencies or lists."""
+    """Diagnosis with none, other and these causes only, which act on frequencies or lists."""
     asked = {"none", "other", *causes}
     some = [(h, at) for h, at in hypotheses_of(cases) if h.cause in asked]
     return diagnose_cases(cases, hypotheses=some, sets=False, gain=gain)
 
 
 def aluminium_case(name: str = "plate 7") -> PlateCase:
-    """The plate of the tests of commands, with a list by its own model at the reference constants."""
+    """The plate of the command tests, with its model's list at the reference constants."""
     text = (PLATE + MEASURED).replace('"plate 7"', f'"{name}"')
     text = text.replace("[material]\n", '[material]\nname = "aluminium"\n')
     text += f"relative_std = {NOISE}\n"
@@ -38,7 +36,7 @@ def aluminium_case(name: str = "plate 7") -> PlateCase:
 
 
 def listed(case: PlateCase, factor: np.ndarray, noise: np.ndarray = DRAWN) -> PlateCase:
-    """The case with the list that its model gives, times (n,) factors, with noise."""
+    """The case with its model's list times (n,) factors, with noise."""
     x = np.array([[69e9, 0.33]])
     f = case.models.bare.predict(x).frequencies[0, : len(factor)]
     measured = np.round(f * factor * (1.0 + NOISE * noise), 1)
@@ -47,12 +45,10 @@ def listed(case: PlateCase, factor: np.ndarray, noise: np.ndarray = DRAWN) -> Pl
 
 @cache
 def clean() -> Diagnosis:
-    """Of a list with nothing wrong."""
     return diagnosed([listed(aluminium_case(), np.ones(6))], ["frequency_scale", "viscoelastic"])
 
 
 @cache
 def misread() -> Diagnosis:
-    """Of a list with a misread frequency."""
     causes = ["outlier", "viscoelastic", "frequency_scale"]
     return diagnosed([listed(aluminium_case(), MISREAD)], causes)

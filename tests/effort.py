@@ -1,4 +1,4 @@
-"""How much work something is, in units that no other process of the machine changes."""
+"""Computational effort in units that other processes on the machine do not affect."""
 
 import sys
 import tracemalloc
@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def peak_memory() -> Iterator[Callable[[], int]]:
-    """Most bytes that Python held at once within the block, beyond those before."""
+    """Peak of the bytes held by Python within the block, beyond those before."""
     peak = 0
     tracemalloc.start()
     try:
@@ -20,7 +20,7 @@ def peak_memory() -> Iterator[Callable[[], int]]:
 
 @contextmanager
 def calls() -> Iterator[Callable[[], int]]:
-    """Number of functions called within the block, Python's and C's."""
+    """Number of function calls within the block, Python's and C's."""
     made = 0
 
     def count(frame: object, event: str, argument: object) -> None:

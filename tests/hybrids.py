@@ -1,4 +1,4 @@
-"""Hybrid plates of the tests: carbon over glass, and sandwiches."""
+"""Hybrid plates for tests: carbon over glass, and sandwiches."""
 
 from copy import deepcopy
 from typing import Any
@@ -21,14 +21,13 @@ UNKNOWNS = {"carbon": {"E1_GPa": [80.0, 180.0], "E2_GPa": [5.0, 16.0]}, "glass":
 
 
 def hybrid(**plate: Any) -> dict[str, Any]:
-    """The hybrid plate with other keys in [plate]."""
     file = deepcopy(HYBRID)
     file["plate"] |= plate
     return file
 
 
 def of_layers(layers, size_mm, edges="FFFF"):
-    """A plate of layers at 0 deg, bottom to top: thickness in mm and the table of its material."""
+    """A plate of layers at 0 deg, bottom to top: thickness in mm and table of the material."""
     names = [chr(ord("a") + i) for i in range(len(layers))]
     named = list(zip(names, layers, strict=True))
     sizes = {"length_mm": size_mm[0], "width_mm": size_mm[1], "thickness_mm": sum(t for t, _ in layers)}
@@ -39,11 +38,10 @@ def of_layers(layers, size_mm, edges="FFFF"):
 
 
 def isotropic(E_GPa: float, density_kg_m3: float, nu: float = 0.3) -> dict[str, Any]:
-    """The table of an isotropic material."""
     return {"symmetry": "isotropic", "E1_GPa": E_GPa, "nu12": nu, "density_kg_m3": density_kg_m3}
 
 
 def sandwich(face_mm: float, core_GPa: float, edges: str = "FFFF") -> dict[str, Any]:
-    """240 x 180 x 10 mm, faces of 70 GPa, a core of a shear modulus in GPa."""
+    """A plate of 240 x 180 x 10 mm with faces of 70 GPa and a core with this shear modulus."""
     face, core = isotropic(70.0, 2700.0), isotropic(2.6 * core_GPa, 100.0)
     return of_layers([(face_mm, face), (10.0 - 2.0 * face_mm, core), (face_mm, face)], (240.0, 180.0), edges)

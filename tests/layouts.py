@@ -1,4 +1,4 @@
-"""Tables of three modes as laboratories write them: a row a hit, a column a hit, sheets of a workbook."""
+"""Tables of three modes as laboratories write them: a row per hit, a column per hit, sheets of a workbook."""
 
 import io
 from typing import Any
@@ -7,8 +7,7 @@ import openpyxl
 
 TABLE = "mode,hz,damping\n1,101.5,0.004\n2,305.25,0.002\n3,333,\n"
 MODES = [101.5, 305.25, 333.0]
-# hits of three modes, whose means are these
-TAPPED = [[101.4, 305.2, 333.1], [101.6, 305.3, 332.9]]
+TAPPED = [[101.4, 305.2, 333.1], [101.6, 305.3, 332.9]]  # hits of three modes with MODES as their means
 
 
 def wide(separator: str, heads: list[str], *, first: str = "", mark: str = ".", more: str = "") -> str:

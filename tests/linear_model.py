@@ -29,13 +29,12 @@ class LinearModel:
 
 
 def measurement(relative_std: float | None, resolution: float = 0.0) -> Measurement:
-    """Frequencies of the model at (0.4, -0.3), a little off."""
     f = MEAN_HZ + SLOPE_HZ @ np.array([0.4, -0.3]) + np.array([0.6, -0.9, 0.3, 1.1])
     return Measurement(f, resolution, relative_std, None, ("",) * 4, complete=True)
 
 
 def exact_gaussian(data: Measurement) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (2,) and covariance (2, 2) of the posterior where its bounds are far away."""
+    """Mean (2,) and covariance (2, 2) of the posterior if its bounds are far away."""
     assert data.relative_std is not None
     weight = 1.0 / (data.relative_std * data.frequencies) ** 2
     covariance = np.linalg.inv(SLOPE_HZ.T @ (weight[:, None] * SLOPE_HZ))

@@ -38,10 +38,8 @@ class Quads:
 
 
 def grid(s: np.ndarray, t: np.ndarray, f: Map, order: int = 1, *, closed: bool = False) -> Quads:
-    """Cells of the unit square cut at s and t, mapped by f; ``closed`` joins t = 1 with t = 0.
-
-    ``order`` 2 : 9-node cells whose middle nodes are mapped too. Lines: x0 (s = 0), x1, y0 (t = 0), y1.
-    """
+    """Cells of the unit square divided at s and t, mapped by f; ``closed`` joins t = 1 to t = 0.
+    ``order`` 2 : 9-node cells whose middle nodes are mapped too. Lines: x0 (s = 0), x1, y0 (t = 0), y1."""
     s, t = (np.interp(np.arange(order * len(c) - order + 1) / order, range(len(c)), c) for c in (s, t))
     a, b = np.meshgrid(s, t, indexing="ij")
     number = np.arange(a.size).reshape(a.shape)
@@ -67,7 +65,6 @@ def grid(s: np.ndarray, t: np.ndarray, f: Map, order: int = 1, *, closed: bool =
 
 
 def rectangle(length: float, width: float, nx: int, ny: int, order: int = 1) -> Quads:
-    """A rectangle cut evenly, in the unit of its sides."""
     s, t = np.linspace(0.0, 1.0, nx + 1), np.linspace(0.0, 1.0, ny + 1)
     return grid(s, t, lambda a, b: (a * length, b * width), order)
 

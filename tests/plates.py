@@ -20,7 +20,7 @@ ANGLE_PLY_16S = tuple([45.0, -45.0] * 8 + [-45.0, 45.0] * 8)
 
 
 def plate(length, width, thickness, density, constants, layup=(0.0,), edges="FFFF", shear=FIVE_SIXTHS):
-    """A plate without unknowns; ``constants`` of E1 and nu12 alone are isotropic."""
+    """A plate without unknowns; ``constants`` with only E1 and nu12 are isotropic."""
     sizes = map(np.asarray, (length, width, thickness, density))
     symmetry = "transversely_isotropic" if "E2" in constants else "isotropic"
     state = PlateState(*sizes, complete_constants(constants, symmetry), laminate_geometry(layup), shear)
@@ -35,13 +35,10 @@ def frequencies(problem: Problem, n_modes: int, tolerance: Tolerance | None = No
 
 def navier(stiffness, mass, sides, n_modes, highest=12):
     """Frequencies of a simply supported cross-ply plate, Navier's solution of the Mindlin equations, Hz.
-
     u = U cos(ax) sin(by), v = V sin cos, w = W sin sin, phi_x = X cos sin, phi_y = Y sin cos make every
     strain one trigonometric product, so each (m, n) is a 5 x 5 eigenproblem, in-plane modes included
     (Reddy, Mechanics of Laminated Composite Plates, section 7.2).
-
-    stiffness : of the eight generalised strains (8, 8). mass : of U, V, W, X, Y (5, 5), per area.
-    """
+    stiffness : of the eight generalised strains (8, 8). mass : of U, V, W, X, Y (5, 5), per area."""
     found = []
     for m, n in product(range(highest + 1), repeat=2):
         a, b = m * np.pi / sides[0], n * np.pi / sides[1]
@@ -60,6 +57,5 @@ def navier(stiffness, mass, sides, n_modes, highest=12):
 
 
 def with_plate(name: str, **changes: object) -> Specimen:
-    """A built-in specimen with other entries of its plate."""
     specimen = builtin(name)
     return replace(specimen, plate=replace(specimen.plate, **changes))  # type: ignore[arg-type]

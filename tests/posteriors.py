@@ -1,4 +1,4 @@
-"""Posterior files with draws that are known."""
+"""Posterior files with known draws."""
 
 from pathlib import Path
 from typing import Any
@@ -8,7 +8,7 @@ import numpy as np
 
 
 def write_posterior(path: Path, draws: dict[str, Any], **attributes: Any) -> Path:
-    """A ``posterior.nc`` of one chain; draws by their names in plate files, in their units."""
+    """A ``posterior.nc`` of one chain; draws by their names and in their units in plate files."""
     of_one_chain = {"posterior": {name: np.asarray(values)[None] for name, values in draws.items()}}
     data = arviz_base.from_dict(of_one_chain, attrs={"/": attributes})
     data.to_netcdf(str(path))

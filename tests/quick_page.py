@@ -27,8 +27,6 @@ PICKED = {"modes": [76.4, 144.4, 212.6], "spectrum": SPECTRUM, "said": []}
 
 
 class Answers:
-    """A worker that answers at once."""
-
     async def run(self, task: str, *args: Any, tell: Any = None) -> Any:
         if task == "report":
             page = Path(args[2]) / "report.html"
@@ -49,8 +47,6 @@ class Answers:
 
 
 class One:
-    """A pool of one of them."""
-
     def worker(self) -> One:
         return self
 
@@ -71,6 +67,5 @@ def desk_of(folder: Path) -> Desk:
 
 
 def echo(value: Any, *, tell: Any) -> tuple[Any, int]:
-    """A task of a worker: what it was given, and the process that answers."""
     del tell
     return value, os.getpid()

@@ -1,4 +1,4 @@
-"""What many tests need and takes long is computed once in a run, whichever process of it asks first."""
+"""Slow shared results of many tests, computed once per run by whichever process needs them first."""
 
 import fcntl
 import hashlib
@@ -14,15 +14,12 @@ from typing import Any, TypeVar, cast
 
 T = TypeVar("T", bound=Callable[..., Any])
 
-# Directory of the whole run, which conftest.py sets.
-DIRECTORY = "CPAM_BAYES_TEST_RUN"
+DIRECTORY = "CPAM_BAYES_TEST_RUN"  # Environment variable with the directory of the run, set by conftest.py.
 
 
 def once_a_run(function: T) -> T:
-    """The function, its results pickled for all processes of the run; a second one waits for the first.
-
-    Arguments must have a ``repr`` that names them. Within a process a result is one object.
-    """
+    """Decorator that pickles results for all processes of the run; a second process waits for the first.
+    Arguments must have a ``repr`` that identifies them. Within a process a result is a single object."""
     here: dict[str, Any] = {}
 
     @wraps(function)
@@ -41,10 +38,8 @@ def once_a_run(function: T) -> T:
 
 
 class ModelsOfTheRun(OrderedDict[str, Any]):
-    """Plate models that all processes of a run share, in place of those that a process keeps for itself.
-
-    Those of effects that are not the catalogue's stay in the process: keys do not tell their functions apart.
-    """
+    """Plate models shared by all processes of a run, in place of each process's own store.
+    Models of effects outside the catalogue stay in the process: keys do not tell their functions apart."""
 
     def __init__(self, directory: Path) -> None:
         from cpam_bayes.effects import edges, effect, geometry, layup, masses, plies

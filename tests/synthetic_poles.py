@@ -10,7 +10,7 @@ from validation.recorded_hits import eigenvalues
 
 @dataclass(frozen=True)
 class Known:
-    """A test with the truth: frequencies, Hz, damping ratios, and the peak of each mode over the noise."""
+    """A test with the truth: frequencies, Hz, damping ratios, and each mode's peak relative to the noise."""
 
     responses: FrequencyResponses
     frequencies: np.ndarray
@@ -27,10 +27,8 @@ def accelerance(lines: np.ndarray, s: np.ndarray, residues: np.ndarray) -> np.nd
 
 
 def known_test(rng: np.random.Generator, n_responses: int = 3, noise: float = 0.01) -> Known:
-    """Three to seven modes from 60 to 740 Hz and one more beside one of them, 0.8 to 2 peak widths away.
-
-    noise : standard deviation over the largest value of each response
-    """
+    """Three to seven modes from 60 to 740 Hz, plus one within 0.8 to 2 peak widths of one of them.
+    noise : standard deviation relative to the largest value of each response"""
     f = np.sort(rng.uniform(60.0, 740.0, 7))
     f = f[np.append(True, np.diff(f) > 25.0)]
     damping = rng.uniform(0.003, 0.012, len(f))
@@ -40,8 +38,7 @@ def known_test(rng: np.random.Generator, n_responses: int = 3, noise: float = 0.
     order = np.argsort(f)
     f, damping = f[order], damping[order]
     s, lines = eigenvalues(f, damping), np.arange(0.5, 800.0, 0.5)
-    # residues like those of modes of equal mass: 1 / (2 i w) times a product of two shapes
-    residues = rng.standard_normal((n_responses, len(f))) / (2j * s.imag)
+    residues = rng.standard_normal((n_responses, len(f))) / (2j * s.imag)  # like modes of equal mass
     frf = accelerance(lines, s, residues)
     sd = noise * np.abs(frf).max(axis=1, keepdims=True)
     peak = np.max(np.abs(residues * s**2 / s.real) / sd, axis=0)

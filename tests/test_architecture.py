@@ -15,18 +15,17 @@ import cpam_bayes
 PACKAGE = Path(cpam_bayes.__file__).parent
 PROJECT = Path(__file__).parent.parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
-# A module imports only from its own layer and from those above it in this list, the table of the
-# documentation, before the entry point.
+# A module imports only from its own layer and those above it in the documentation's table.
 ROOM = re.compile(r"^\| `([\w/]+?)/?(?:\.py)?` \|", re.MULTILINE)
 LAYERS = (*ROOM.findall((PROJECT / "docs" / "architecture.md").read_text("utf-8")), "__main__")
 HEAVY = ("arviz_base", "arviz_stats", "dynesty", "distributed", "emcee", "matplotlib", "skfem")
-# The package itself may be asked for these by any layer.
+# Every layer may import these from the package itself.
 ROOT_NAMES = {"__version__"}
 TYPE_CHECKING = ("TYPE_CHECKING", "typing.TYPE_CHECKING")
 ANNOTATIONS = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:"
-# The command line and the public names load what they are asked for, by its name.
+# the command line and public names load modules on demand, by name
 BY_NAME = {"cpam_bayes", "cpam_bayes.cli"}
-# What computes frequencies or densities, by the name it is called by.
+# Names of the functions that compute frequencies or densities.
 SOLVES = {"predict", "spectrum", "modes", "log_prob", "log_likelihood", "solve", "air_shifts", "best_fit"}
 
 
@@ -36,7 +35,7 @@ def module_name(path: Path) -> str:
 
 
 class RunTime(ast.NodeTransformer):
-    """Leaves out what stands under ``if TYPE_CHECKING:``, which never runs."""
+    """Removes the code under ``if TYPE_CHECKING:``, which never runs."""
 
     def visit_If(self, node: ast.If) -> ast.AST | list[ast.stmt]:
         self.generic_visit(node)
@@ -44,7 +43,7 @@ class RunTime(ast.NodeTransformer):
 
 
 def imports(source: str, module: str, is_package: bool, *, run_time: bool = False) -> Iterator[str]:
-    """The full names a module imports, lazy imports included; run_time : without those for annotations."""
+    """Full names of a module's imports, lazy ones included; run_time : without those for annotations."""
     tree = ast.parse(source)
     for node in ast.walk(RunTime().visit(tree) if run_time else tree):
         if isinstance(node, ast.Import):
@@ -57,7 +56,7 @@ def imports(source: str, module: str, is_package: bool, *, run_time: bool = Fals
 
 
 def layer(name: str) -> str | None:
-    """The layer of a full name of this package; None for the package itself and for others."""
+    """Layer of a full name of this package; None for the package itself and for others."""
     parts = name.split(".")
     return parts[1] if parts[0] == "cpam_bayes" and len(parts) > 1 else None
 
@@ -66,8 +65,7 @@ def violations(source: str, module: str, is_package: bool) -> list[str]:
     own = layer(module)
     if own is not None and own not in LAYERS:
         return [f"{module} is in no layer: add it to docs/architecture.md at its place"]
-    # The package itself stands before the first layer: at run time it imports nothing. Its public names
-    # are of any layer; type checkers read where they come from, and a program loads them at first use.
+    # the package itself is before the first layer and imports nothing at run time; type checkers do
     height = -1 if own is None else LAYERS.index(own)
     found = []
     for name in imports(source, module, is_package, run_time=module == "cpam_bayes"):
@@ -105,7 +103,7 @@ def test_no_module_imports_itself_through_others():
     for module, path in names.items():
         used = imports(path.read_text("utf-8"), module, path.name == "__init__.py")
         owners = {name if name in names else name.rpartition(".")[0] for name in used}
-        # A package may name its own modules, which is what it is for.
+        # the package itself names its modules, which is its purpose
         edges[module] = (owners & names.keys()) - {module, "cpam_bayes"}
     TopologicalSorter(edges).prepare()
     with pytest.raises(CycleError):
@@ -113,7 +111,6 @@ def test_no_module_imports_itself_through_others():
 
 
 def modules_in_strings(source: str) -> list[str]:
-    """Full names of modules of this package in strings that are no docstrings."""
     nodes = list(ast.walk(ast.parse(source)))
     docstrings = [node.value for node in nodes if isinstance(node, ast.Expr)]
     texts = [n for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)]
@@ -132,7 +129,7 @@ def test_the_documentation_names_no_layer_that_is_not_there():
 
 
 def uses_matplotlib(source: str) -> bool:
-    """Whether a module loads matplotlib, at once or when a function is called; its types do not count."""
+    """Whether a module loads matplotlib, at once or in a function; type annotations do not count."""
     return any(name.split(".")[0] == "matplotlib" for name in imports(source, "", False, run_time=True))
 
 
@@ -158,22 +155,21 @@ def test_what_renders_solves_nothing(path):
     assert names & SOLVES == set()
 
 
-# What reads files that others wrote, whose words are all there is to go by.
+# Modules that read files of others, for which only the wording is available.
 READERS = {"plate", "storage"}
 READS = {"startswith", "endswith", "removeprefix", "removesuffix", "partition", "rpartition", "split", "find"}
-# Literals that are asked for and are shown to nobody, or are cut off what another layer has written.
-ASKED_FOR = {
+ASKED_FOR = {  # Literals that are compared but never shown, or removed from text of another layer.
     "at least",  # the side of a limit, one of two literals
     "mirror image",  # the name of a symmetry
     "cannot be judged",  # the verdict on a plate of a batch, one of four literals
-    "too close to call",  # another of these
-    "built-in ",  # the source of a specimen, as the reader of plates writes it
-    "executor: ",  # the name of the argument in an error, which argparse says itself
+    "too close to call",  # another one
+    "built-in ",  # the source of a specimen, as written by the reader of plates
+    "executor: ",  # the name of the argument in an error, which argparse adds itself
 }
 
 
 def read_texts(source: str) -> Iterator[str]:
-    """Texts of several words, or with a word and a space, that a module compares with or looks for."""
+    """Texts with a space that a module compares with or searches for."""
     for node in ast.walk(ast.parse(source)):
         looked_for: list[ast.expr] = []
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in READS:

@@ -1,4 +1,4 @@
-"""Benchmarks run small, on what is installed with the package alone, and give what their README says."""
+"""Benchmarks run in small, with the package's own dependencies, and give the results in their README."""
 
 import json
 import re
@@ -26,7 +26,6 @@ SOLVER_KEYS = {"case", "unit", "reach", "at_least", "before", "after"}
 
 
 def documented(script: str) -> tuple[set[str], set[str]]:
-    """The keys of the results of a benchmark and of one of their rows, as the README has them."""
     section = README.partition(f"## {script}\n")[2].partition("\n## ")[0]
     table = section.partition("| key | what |")[2]
     keys = re.findall(r"^\| (`[^|]*) \|", table, re.MULTILINE)
@@ -49,8 +48,7 @@ def test_the_forward_benchmark_runs_without_the_optional_peers(monkeypatch):
     assert all(set(one) == built | {"reduction_error"} for one in results["building"])
     assert {row["solver"] for row in results["rows"]} == OURS | WRITTEN_HERE
     assert [line.split(":")[0] for line in results["missing"]] == ["panels", "CalculiX"]
-    # a peer is as coarse as the accuracy allows, ours is as exact as ever
-    errors = {row["solver"]: row["error"] for row in results["rows"]}
+    errors = {row["solver"]: row["error"] for row in results["rows"]}  # peers are coarse, ours is exact
     assert all(errors[solver] <= results["accuracy"] for solver in WRITTEN_HERE)
     assert errors["ours, full"] < 2e-4
     assert "panels: not installed; pip install panels==0.14" in cells(forward_solvers.tables(results))
@@ -60,8 +58,7 @@ def test_the_plain_solver_has_the_plate_and_its_two_forms_agree_for_plies_along_
     specimen = read_specimen("C1")
     assembling, summing = plain_frequencies(specimen, 6, 8)
     constants = dict(specimen.material.constants)
-    # 8 x 8 elements are 0.06 % high; the references have six digits
-    np.testing.assert_allclose(assembling(constants), CONVERGED_HZ["C1"], rtol=1e-3)
+    np.testing.assert_allclose(assembling(constants), CONVERGED_HZ["C1"], rtol=1e-3)  # 0.06 % high
     np.testing.assert_allclose(summing(constants), assembling(constants), rtol=1e-7)
     plate = specimen.plate
     found = cross_ply_stiffness(plate.layup.angles(np.empty(0)), plate.thickness, constants)
@@ -84,12 +81,11 @@ def test_a_small_run_of_samplers_has_the_documented_keys():
     ours = {(s, m) for s in (samplers.OURS, samplers.OURS_MANY) for m in (samplers.JUMPS, *local)}
     assert set(ratios) == ours | {(s, m) for s in (samplers.ASSEMBLING, samplers.SUMMING) for m in local}
     times = {(row["moves"], row["walkers"]): row["autocorrelation_time"] for row in results["rows"]}
-    # three against forty steps on longer chains
+    # three steps against forty, on longer chains
     assert all(times[samplers.JUMPS, n] < 0.5 * times[samplers.DE, n] for n in {n for _, n in times})
     assert results["fit"]["solves"] >= 2 * 2500, "two rounds at least"
     for row in results["rows"]:
-        # the same numbers, medians taken before or after the division
-        per_second = 1.0 / (row["evaluation_s"] * row["autocorrelation_time"])
+        per_second = 1.0 / (row["evaluation_s"] * row["autocorrelation_time"])  # medians in another order
         assert row["effective_per_s"] == pytest.approx(per_second, rel=1e-6)
     assert not results["targets"], "coarse meshes and short chains reach nothing"
     assert samplers.ASSEMBLING in cells(samplers.tables(results))
@@ -102,8 +98,7 @@ def test_a_small_run_of_waits_compares_two_trees():
     assert (list(results), set(row)) == (list(waits.KEYS), ROW_KEYS)
     assert row["before"]["exit_status"] == row["after"]["exit_status"] == 0
     assert row["before"]["answer"] == row["after"]["answer"] != ""
-    # Python with numpy and scipy alone holds 50 MiB
-    assert row["after"]["peak_gib"] > 0.05
+    assert row["after"]["peak_gib"] > 0.05  # Python with numpy and scipy alone takes 50 MiB
     assert row["after"]["processor_seconds"] > 0.0
     assert [len(table.rows) for table in tables(results)] == [1]
 

@@ -24,7 +24,7 @@ from cpam_bayes.questions import identify, plates
 from tests.plate_file import PLATE, refused
 
 PROJECT = Path(__file__).parent.parent
-# a single swarm and a few steps of it say all that is asked here
+# a single swarm and a few steps suffice here
 SHORT = ("--swarms", "1", "--iterations", "8", "--quiet")
 EMCEE = "identify A1 --backend emcee"
 # endless
@@ -79,20 +79,19 @@ INTERRUPTED = [
 
 
 def listen():
-    """Undo what a shell may have done that starts tests in the background or under nohup."""
+    """Restore the signals that a shell may disable when it runs tests in the background or under nohup."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
 
 
 def start(*argv, code=None, **options):
-    """Start the command as a process of its own, which listens to signals unless told otherwise."""
+    """Start the command as a separate process, by default one that listens to signals."""
     how = ("-c", code) if code else ("-m", "cpam_bayes")
     usual = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "preexec_fn": listen}
     return subprocess.Popen([sys.executable, *how, *argv], cwd=PROJECT, **usual | options)
 
 
 def ended(process):
-    """Exit status, standard output and standard error of a process at its end."""
     out, err = process.communicate(timeout=120)
     return process.returncode, out, err
 
@@ -167,7 +166,6 @@ def test_identify_as_json_has_the_keys_of_the_contract_and_takes_its_options(run
 
 
 def first_sentences(out):
-    """What a screen says above its first table, in one line."""
     return " ".join(out.split("\n\n")[0].split())
 
 
@@ -198,14 +196,12 @@ def test_a_slip_of_units_leads_forward_and_no_constants_are_sought(run, plate_fi
 
 @pytest.fixture
 def of_two(plate_file, tmp_path):
-    """A plate file whose table has two columns that may be the frequencies."""
     rows = "mode;left;right\n1;114;113\n2;167;166\n3;218;217\n4;289;287\n"
     (tmp_path / "modes.csv").write_text(rows, encoding="utf-8")
     return plate_file(text=PLATE + '\n[measurement]\ntable = "modes.csv"\nresolution_hz = 1.0\n')
 
 
 def at_terminal(monkeypatch, lines, stdout=True):
-    """Lines as they are typed at a terminal."""
     monkeypatch.setattr(sys, "stdin", io.StringIO(lines))
     for stream, is_one in ((sys.stdin, True), (sys.stdout, stdout)):
         monkeypatch.setattr(stream, "isatty", lambda is_one=is_one: is_one, raising=False)
@@ -224,7 +220,7 @@ def test_a_terminal_is_asked_once_which_column_has_the_frequencies(run, of_two, 
     assert run("identify", of_two, *SHORT)[:2] == (0, out)
 
 
-# an empty line, no line, into a file, and a script
+# an empty line, no line, output to a file, and a script
 @pytest.mark.parametrize("typed", [("\n", True), ("", True), ("2\n", False), ("2\n", True, "--json")])
 def test_without_an_answer_an_ambiguous_table_is_refused(run, of_two, monkeypatch, typed):
     lines, stdout, *options = typed
@@ -261,8 +257,7 @@ def test_an_answer_that_cannot_be_saved_is_shown_all_the_same(run, tmp_path, mon
     status, text, err = run("forward", "A1", "--modes", "1", "--json", "--quiet", "--out", out)
     assert (status, len(json.loads(text)["modes"])) == (1, 1)
     assert str(error.args[-1]) in err
-    # what was computed is there, what could not be drawn is not
-    assert [path.name for path in out.iterdir()] == ["forward.json"]
+    assert [path.name for path in out.iterdir()] == ["forward.json"]  # results without undrawable figures
 
 
 @pytest.mark.parametrize("buffered", ["", "1"])
@@ -312,7 +307,7 @@ def test_a_signal_that_the_shell_said_to_ignore_is_ignored():
     assert "E1" in out
 
 
-# While libraries load; and inside exec of a text, as while a module is imported that makes dataclasses.
+# While libraries load; and inside exec of a text, as when a module with dataclasses is imported.
 WHILE_LOADING = """
 import os, signal, sys
 

@@ -1,4 +1,4 @@
-"""The examples of the documentation and its notebooks run and give what they show; its site is whole."""
+"""The documentation's examples and notebooks run and give the output shown; its site is complete."""
 
 import json
 import os
@@ -35,7 +35,7 @@ WITH_EXAMPLES = [
     for page in PAGES
     if re.search(r"^```(python|console)", page.read_text("utf-8"), re.MULTILINE)
 ]
-# rounding decides about the last digit
+# only the last digit may differ, by rounding
 SAME = dict.fromkeys(("second 2.00", "second 2.01"), True)
 OTHER = dict.fromkeys(("second 2.02", "second 2.000", "third 2.00", "second 2.00\nthird 3.00"), False)
 NOTEBOOKS = sorted((PROJECT / "notebooks").glob("*.ipynb"))
@@ -47,7 +47,7 @@ HIDDEN = "[...document.querySelectorAll('article img')].filter(i => !i.naturalWi
 
 @pytest.mark.parametrize("page", WITH_EXAMPLES)
 def test_the_examples_of_a_page_run_and_print_what_it_says(page, tmp_path, monkeypatch):
-    """``python docs/build/examples.py PAGE`` writes the outputs anew."""
+    """To rewrite the outputs: ``python docs/build/examples.py PAGE``."""
     monkeypatch.setattr(matplotlib, "rcParams", matplotlib.rcParams.copy())
     assert check(page, tmp_path) > 0
 
@@ -83,7 +83,6 @@ def test_the_plate_and_the_picture_of_the_first_pages_are_those_of_the_tutorial(
 
 
 def intervals(text: str) -> list[list[float]]:
-    """Ends to two decimals, as the picture has them."""
     return [[round(float(end), 2) for end in ends] for ends in re.findall(r"([\d.]+) to ([\d.]+)", text)]
 
 
@@ -104,7 +103,6 @@ def test_every_command_and_option_of_the_documentation_exists():
 
 
 def outputs(notebook: nbformat.NotebookNode) -> list[tuple[str, list[nbformat.NotebookNode]]]:
-    """The code cells and what they show."""
     return [(cell.source, cell.outputs) for cell in notebook.cells if cell.cell_type == "code"]
 
 
@@ -127,7 +125,6 @@ def test_a_notebook_runs_and_shows_what_it_is_saved_with(path):
 
 
 def listed_pages(nav: list[Any]) -> list[str]:
-    """The pages of a navigation, in its order."""
     pages: list[str] = []
     for entry in nav:
         for target in entry.values() if isinstance(entry, dict) else [entry]:
@@ -155,8 +152,7 @@ def test_the_site_builds_strictly_with_figures_equations_schemas_and_the_api(sit
     described = re.findall(r"^::: cpam_bayes\.(\w+)$", (DOCS / "api.md").read_text("utf-8"), re.MULTILINE)
     assert set(cb.__all__) <= set(described)
     assert all(f'id="cpam_bayes.{name}"' in api for name in cb.__all__)
-    # fields of docstrings are a list, of docs/build/docstrings.py, with the types of the signature
-    text = re.sub(r"<[^>]+>", "", api)
+    text = re.sub(r"<[^>]+>", "", api)  # lists of fields (docs/build/docstrings.py), typed by signatures
     assert re.search(r"density: kg/m3, from the mass when that was given", text)
     assert re.search(r"plate\s*\(\s*PlateLike\s*\)\W+the name of a built-in specimen", text)
     theory = (site / "theory.html").read_text("utf-8")
@@ -164,7 +160,7 @@ def test_the_site_builds_strictly_with_figures_equations_schemas_and_the_api(sit
     assert theory.count("<math") > 20
     for command in DOCUMENTS:
         assert json.loads((site / "schema" / f"{command}.json").read_text("utf-8")) == json_schema(command)
-    # nothing comes from a network
+    # nothing is loaded from a network
     fetching = re.compile(r'(?:<(?:script|img|iframe)[^>]*\ssrc=|@import\s|url\()["\']?(?:https?:)?//')
     for file in [*site.rglob("*.html"), *site.rglob("*.css")]:
         shown = file.read_text("utf-8")

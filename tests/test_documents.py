@@ -1,4 +1,4 @@
-"""Every command's document has a schema, which the documentation holds and every document follows."""
+"""Every command's document has a schema, which the documentation includes and every document follows."""
 
 import argparse
 import copy
@@ -18,7 +18,6 @@ PLATES = cb.plates().to_dict()
 
 
 def objects(schema: Any) -> Iterator[dict[str, Any]]:
-    """All schemas of objects with named keys, at any depth."""
     for part in schema.values() if isinstance(schema, dict) else schema:
         if isinstance(part, dict | list):
             yield from objects(part)
@@ -59,7 +58,6 @@ def test_whole_numbers_are_numbers_and_another_command_is_refused(monkeypatch):
         validated("forward", document)
     with pytest.raises(ValueError, match="command: received 'plate', accepted: app batch"):
         json_schema("plate")
-    # `tests/conftest.py` holds every document that a test makes against its schema
-    monkeypatch.setattr("cpam_bayes.questions.plates.__version__", 1)
+    monkeypatch.setattr("cpam_bayes.questions.plates.__version__", 1)  # tests/conftest.py validates documents
     with pytest.raises(AssertionError, match="plates: 1 validation error"):
         cb.plates().to_dict()

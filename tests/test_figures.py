@@ -21,7 +21,6 @@ QUICKLY_DRAWN = "20_swarms"
 
 
 def source_of(path: Path) -> str:
-    """The hash of the results that a PNG was drawn from."""
     with Image.open(path, formats=["PNG"]) as image:
         return str(image.info["Source"])
 
@@ -47,7 +46,6 @@ def test_a_figure_is_the_kept_one_and_legible_and_names_its_seeds(name, tmp_path
 
 
 def drawn_by(name: str) -> set[str]:
-    """The kept figures whose captions say that a script draws them."""
     captions = (path for path in FIGURES.glob("*.md") if path.name != "README.md")
     said = f"`python figures/draw.py {name}`"
     return {path.stem for path in captions if said in path.read_text(encoding="utf-8")}
@@ -69,7 +67,7 @@ def test_the_same_results_give_the_same_bytes(kind, tmp_path):
 
 
 def texts(figure: Figure) -> Iterator[tuple[str, float, Bbox]]:
-    """What is written, its size in points, and the box that it takes; ticks beyond the ends are not."""
+    """Texts with their size in points and their box, without ticks beyond the ends."""
     beyond: set[int] = set()
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
@@ -84,7 +82,7 @@ def texts(figure: Figure) -> Iterator[tuple[str, float, Bbox]]:
 
 
 def faults(figure: Figure) -> list[str]:
-    """What a reader of the printed figure would complain of."""
+    """Defects that a reader of the printed figure would see."""
     width, height = (figure.get_size_inches() * 25.4).tolist()
     found = [f"{width:.1f} mm wide"] * (round(width, 6) not in (journal.SINGLE_MM, journal.DOUBLE_MM))
     found += [f"{height:.1f} mm tall"] * (height > journal.TALLEST_MM)

@@ -1,4 +1,4 @@
-"""The library as a Python caller sees it: the same answers, refusals and warnings as the commands give."""
+"""The library as a Python caller sees it: the same answers, refusals and warnings as the commands."""
 
 import ast
 import doctest
@@ -24,10 +24,10 @@ from cpam_bayes.inference.ensemble import DEFAULT_SETTINGS
 from tests.answers import answered
 from tests.plate_file import MEASURED, PLATE
 
-# A limit on the time is no question.
+# A time limit is no question.
 VERBS = [name for name in cb.__all__ if inspect.isfunction(getattr(cb, name)) and name != "time_limit"]
 EXAMPLES = [*VERBS, "time_limit"]
-# What is changed in the aluminium plate and its list.
+# Changes to the aluminium plate and its list.
 NO_LIST = (MEASURED, "")
 NO_UNKNOWNS = ("[unknowns]\nE1_GPa = [10.0, 200.0]\nnu12 = [0.15, 0.4]\n", "")
 GAPS = ("resolution_hz = 1.0", "complete = false")
@@ -87,7 +87,7 @@ IDS = [f"{question[1]}: {said}" for _, question, said in REFUSED_PLATES]
 A_PLATE = "accepted: a text or a path or a mapping"
 NUMBERS = "accepted: a sequence of which each is a number"
 TO_100 = "accepted: a whole number from 1 to 100"
-# A value that is of no type of an annotation of the verbs.
+# A value of no type annotated in the verbs.
 NOTHING = object()
 SHORT = replace(DEFAULT_SETTINGS, most_steps=20, round_steps=20)
 EMCEE = ("identify", "--backend", "emcee", "--steps", "20")
@@ -97,7 +97,7 @@ CALLS = [
     pytest.param(cb.diagnose, ("diagnose",), marks=pytest.mark.slow),
     pytest.param(partial(cb.sample, settings=SHORT), EMCEE, marks=pytest.mark.slow),
 ]
-# The same calls with other seeds, which other tests make, are marked weekly.
+# covered by tests with other seeds
 WEEKLY = ("calibrate", "diagnose", "report", "sensitivity", "sequence")
 MARKS = dict.fromkeys(WEEKLY, (pytest.mark.slow, pytest.mark.weekly)) | {"sample": (pytest.mark.slow,)}
 REFUSED_CALLS = [
@@ -221,7 +221,6 @@ def test_what_is_not_there_is_left_to_python_and_numbers_of_numpy_are_numbers():
 
 
 def without_seconds(value: Any) -> Any:
-    """A document without how long things took."""
     if isinstance(value, dict):
         timed = ("seconds", "per_second")
         return {k: without_seconds(v) for k, v in value.items() if not any(t in k for t in timed)}
@@ -247,7 +246,7 @@ def test_a_result_is_one_line_equal_to_itself_alone_and_draws_what_is_asked_for(
     assert (modes.status, modes.warnings, len(modes.plot().axes)) == ("done", (), 2)
     assert modes.summary() == run("forward", "A1", "--modes", "2", "--quiet")[1]
     again = pickle.loads(pickle.dumps(point))
-    assert point == point != again  # arrays have no truth value to compare results by
+    assert point == point != again  # arrays have no truth value for comparing results
     assert again.to_dict() == point.to_dict()
     assert list(point.figures()) == ["residuals", "predicted_against_measured", "modes", "plate"]
     assert "residuals" in point.plot().axes[0].get_title("left")

@@ -1,4 +1,4 @@
-"""What stands in several places says the same: version, dependencies, workflows, links."""
+"""Facts stated in several places agree: version, dependencies, workflows, links."""
 
 import re
 import tomllib
@@ -15,7 +15,7 @@ PROJECT = Path(__file__).parent.parent
 PYPROJECT = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))
 WORKFLOWS = sorted((PROJECT / ".github" / "workflows").glob("*.yml"))
 PAGES = sorted([*PROJECT.glob("*.md"), *PROJECT.glob(".github/*.md")])
-# What packages of conda are called, and what they bring that an extra brings here.
+# names in conda, and what needs an extra only here
 CONDA_NAMES = {"matplotlib": "matplotlib-base"}
 CONDA_EXTRAS = {"xarray-einstats"}
 
@@ -29,7 +29,6 @@ def yaml_of(name: str) -> Any:
 
 
 def names_and_bounds(requirements: Iterable[str]) -> dict[str, str]:
-    """Name -> bounds of requirements without their extras and markers."""
     parts = (re.match(r"([\w-]+)(?:\[[\w,]+\])?\s*([^;]*)", line) for line in requirements)
     return {part[1].casefold(): part[2].strip() for part in parts if part}
 
@@ -45,8 +44,7 @@ def test_version_licence_and_authors_are_the_same_everywhere():
     assert [author["name"] for author in citation["authors"]] == [a["name"] for a in project["authors"]]
     licence = text_of(project["license-files"][0])
     assert licence.startswith("BSD 3-Clause License\n")
-    # its third clause is what the one of two clauses lacks
-    assert re.search("names of its|Neither the name", licence)
+    assert re.search("names of its|Neither the name", licence)  # the third clause, missing in two-clause BSD
     assert project["authors"][0]["name"].removeprefix("The ") in licence
 
 
@@ -60,7 +58,7 @@ def test_the_recipe_of_conda_has_the_dependencies_of_the_package():
 
 
 def libraries(name: str, of: Any) -> set[str]:
-    """The libraries of an extra or a dependency group, those of others in it included."""
+    """Libraries of an extra or a dependency group, including those of others in it."""
     found: set[str] = set()
     for line in of[name]:
         own = re.fullmatch(r"cpam-bayes\[([\w,]+)\]", str(line))

@@ -1,4 +1,4 @@
-"""Pages say what the saved results say: every generated section is written anew and compared."""
+"""Pages agree with the saved results: every generated section is rewritten and compared."""
 
 import json
 from functools import cache
@@ -31,7 +31,7 @@ def sections(study: str) -> dict[str, str]:
 
 @pytest.mark.parametrize("name", WITH_SECTIONS)
 def test_a_page_says_what_the_saved_results_say(name):
-    """Written anew by: python studies/write_pages.py."""
+    """To rewrite it: python studies/write_pages.py."""
     assert script("studies", "write_pages").written(PAGES[name], STUDIES) == PAGES[name].read_text("utf-8")
 
 
@@ -89,7 +89,6 @@ def test_a_section_is_written_between_its_marks_alone_in_all_pages(tmp_path):
 
 @pytest.fixture
 def ledger(tmp_path, monkeypatch):
-    """An empty one; results of studies lie beside it."""
     monkeypatch.setattr(fingerprints, "LEDGER", tmp_path / "fingerprints.json")
     return tmp_path / "fingerprints.json"
 
@@ -120,7 +119,7 @@ def test_results_and_figures_of_other_sources_are_named_until_their_study_is_run
 
 
 def saved_before(ledger: Path, recorded: str | None) -> Path:
-    """Results with two cases, without fingerprints, and what the ledger says of them."""
+    """Results with two cases without fingerprints, and their entry in the ledger."""
     path = ledger.with_name(f"{STUDY}.json")
     path.write_text(json.dumps({"cases": [{"case": 0, "x": 1}, {"case": 1, "x": 1}]}))
     ledger.write_text(json.dumps({} if recorded is None else {STUDY: recorded}))
@@ -130,8 +129,7 @@ def saved_before(ledger: Path, recorded: str | None) -> Path:
 @pytest.mark.parametrize("recorded", [None, OTHER])
 def test_a_study_is_of_todays_code_when_all_its_cases_are(ledger, recorded):
     path, before, today = saved_before(ledger, recorded), recorded or UNKNOWN, fingerprint_of_study(STUDY)
-    # summed up again: nothing was computed
-    save_results(path, reporting.saved_results(path))
+    save_results(path, reporting.saved_results(path))  # only the summary was redone: nothing was computed
     assert fingerprints.recorded()[STUDY] == before
     for case, of in ((0, before), (1, today)):
         save_results(path, reporting.with_saved({"cases": [{"case": case, "x": 2}]}, path, (0, 1)))
@@ -158,7 +156,7 @@ def test_cases_keep_the_fingerprint_that_they_were_computed_with_or_are_of_unkno
 def test_a_study_that_names_what_computes_its_cases_is_of_the_state_of_that():
     named = "cpam_bayes.questions.paper.work"
     assert fingerprint_of_study("19_paper") == fingerprint(named)
-    # what is only judged and shown is no part of it
+    # judging and display are no part of it
     of_the_paper = {f.stem for f in sources_of([named], []) if f.parent.name == "paper"}
     assert of_the_paper == {"work", "layups", "rows"}
 

@@ -26,7 +26,7 @@ PRIORS = [
     Mixture(TruncatedNormal(0.0, 0.1, -0.6, 1.5), ScaledStudentT(0.2, 4.0, -0.6, 1.5), 0.3),
 ]
 every_prior = pytest.mark.parametrize("prior", PRIORS, ids=str)
-# Scores of the other kinds are good to what scipy's distribution functions are: tests of normal scores.
+# Scores of the other kinds are as accurate as scipy's distribution functions: tests of normal scores.
 SMOOTH = [p for p in PRIORS if p.kind in ("log-uniform", "mixture", "truncated log-normal")]
 IMPOSSIBLE = [
     *((Uniform, bounds) for bounds in ((1.0, 1.0), (2.0, 1.0), (0.0, INF), (math.nan, 1.0))),
@@ -74,7 +74,7 @@ def test_densities_integrate_to_one_inside_alone_with_the_moments_of_the_truncat
     outside = [x for x in (prior.lower - 1.0, prior.upper + 1.0) if math.isfinite(x)]
     assert np.all(prior.log_density(np.array([*outside, np.nan])) == -INF)
     assert np.isfinite(prior.log_density(np.full((2, 3), prior.mean))).tolist() == [[True] * 3] * 2
-    # 1e-6: the density of a narrow slice of a wide normal is known to 1e-10 over its width
+    # 1e-6: the density of a narrow slice of a wide normal is accurate to 1e-10 over its width
     assert _expectation(prior, np.ones_like) == pytest.approx(1.0, rel=1e-6)
     mean, sd = prior.mean, prior.sd
     assert _expectation(prior, lambda x: (x - mean) / sd) == pytest.approx(0.0, abs=1e-6)
@@ -89,8 +89,7 @@ def test_samples_stay_inside_and_have_the_mean_and_median_of_the_density(prior):
     # five standard errors of the mean
     assert x.mean() == pytest.approx(prior.mean, abs=5 * prior.sd / math.sqrt(x.size))
     below = _expectation(prior, lambda value: value <= x[x.size // 2])
-    # five standard errors of a median's probability, and one panel at the step
-    assert below == pytest.approx(0.5, abs=5 * 0.5 / math.sqrt(x.size) + 2e-3)
+    assert below == pytest.approx(0.5, abs=5 * 0.5 / math.sqrt(x.size) + 2e-3)  # and one panel at the step
 
 
 def test_student_t_and_half_normal_match_their_textbook_forms():
@@ -110,7 +109,7 @@ def test_scores_and_back(prior):
     x = prior.from_normal(z)
     assert np.all(np.diff(x) > 0.0)
     np.testing.assert_allclose(prior.to_normal(x), z, rtol=0, atol=1e-9)
-    # the slope is that of the distribution functions, and ends are the bounds
+    # the slope agrees with the distribution functions, and the ends are the bounds
     slope = (prior.from_normal(z + 1e-4) - prior.from_normal(z - 1e-4)) / 2e-4
     expected = np.exp(-0.5 * z**2 - prior.log_density(x)) / math.sqrt(2 * math.pi)
     np.testing.assert_allclose(slope, expected, rtol=1e-5)
@@ -120,7 +119,7 @@ def test_scores_and_back(prior):
 
 @pytest.mark.parametrize("mirror", [1.0, -1.0])
 def test_a_normal_prior_reaches_to_its_bounds_thirty_standard_deviations_away(mirror):
-    """Between bounds that far out the score is the distance from the centre in standard deviations."""
+    """With bounds that far out the score is the distance from the centre in standard deviations."""
     ends = sorted((mirror * (5.0 - 34.0 * 0.25), mirror * (5.0 + 36.0 * 0.25)))
     prior = TruncatedNormal(mirror * 5.0, 0.25, *ends)
     z = np.linspace(-30.0, 30.0, 61)
@@ -136,7 +135,7 @@ def test_a_normal_prior_reaches_to_its_bounds_thirty_standard_deviations_away(mi
 def test_quantiles_are_inverse_and_parts_make_the_density_whose_fractions_sum_to_one(prior):
     p = np.linspace(0.01, 0.99, 15)
     x = prior.ppf(p)
-    # scipy's quantiles of Student's t are good to 3e-8
+    # scipy's quantiles of Student's t are accurate to 3e-8
     np.testing.assert_allclose(prior.cdf(x), p, atol=3e-8)
     assert prior.cdf([prior.lower, prior.upper]).tolist() == [0.0, 1.0]
     together = sum(fraction * np.exp(part.log_density(x)) for fraction, part in prior.parts)
@@ -151,7 +150,7 @@ def test_quantiles_are_inverse_and_parts_make_the_density_whose_fractions_sum_to
 
 @every_prior
 def test_a_prior_is_known_by_its_text_and_described_in_the_unit_asked_for(prior):
-    # texts of priors are in the keys of stored models
+    # the keys of stored models contain texts of priors
     assert eval(repr(prior), {"inf": INF, **globals()}) == prior
     again = pickle.loads(pickle.dumps(prior))
     assert (again, hash(again)) == (prior, hash(prior))

@@ -1,4 +1,4 @@
-"""Long work: a time limit ends it with the best answer so far, and BLAS is held to one thread."""
+"""Long work: a time limit ends it with the best answer so far, and BLAS uses a single thread."""
 
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
@@ -25,13 +25,12 @@ AT_ONCE = 1e-9
 
 @pytest.fixture
 def looks(monkeypatch):
-    """A clock that goes on by a second whenever it is looked at."""
     seconds = count()
     monkeypatch.setattr(running.time, "monotonic", lambda: float(next(seconds)))
 
 
 def left_out(answer: cb.Result) -> dict[str, Any]:
-    """What the first notice of an answer says that it lacks: code -> facts."""
+    """Missing parts according to an answer's first notice: code -> facts."""
     first, *_ = answer.notices or (None,)
     return {} if first is None or first.code != "time_up" else dict(first.facts["missing"])
 
@@ -68,8 +67,7 @@ def test_limited_work_ends_between_two_items(looks, executor):
     asked = {"batch_size": 1, "on_result": lambda *result: told.append(result), "is_limited": True}
     with time_limit(3.0), pytest.raises(TimeIsUpError, match=r"the time limit of 3 s .* of 50 parts"):
         run(plus_one, 1, range(50), executor, **asked)
-    # what was begun when time was up is told too
-    assert 0 < len(told) < 50
+    assert 0 < len(told) < 50  # work begun at the end of the time is reported too
     with time_limit(3.0):
         assert run(plus_one, 1, range(50)) == list(range(1, 51))
 
@@ -98,7 +96,7 @@ def test_emcee_ends_after_a_round_and_goes_on_from_the_store(tmp_path):
         cut = cb.sample("A1", seed=0, store=tmp_path, settings=EnsembleSettings(round_steps=20))
     assert (cut.reached_goal, left_out(cut)["cut_chains"]) == (False, {"done": 20, "of": 10000})
     assert list(tmp_path.glob("*"))
-    # nothing is said to be determined by chains that were cut off
+    # interrupted chains count as determining nothing
     assert {c.verdict for c in (*cut.constants.values(), *cut.sizes.values())} == {Verdict.UNCONVERGED}
     said, headline = cut.report().summary, "The chains did not converge: do not use this answer."
     assert (said.headline, said.next_step) == (headline, "allow more time: --time-limit S.")
@@ -127,8 +125,6 @@ def test_nothing_is_claimed_of_a_part_of_the_causes_and_others_are_named(run, pl
 
 
 class Told(running.Watch):
-    """A watch that counts what it is told."""
-
     def __init__(self) -> None:
         self.told: list[int] = []
 

@@ -1,4 +1,4 @@
-"""Files that are whole or not there: drafts, sealed files, the place of the cache."""
+"""Files that are complete or absent: drafts, sealed files, the place of the cache."""
 
 import io
 import os
@@ -28,7 +28,6 @@ with draft_directory(place) as directory, draft_file(place) as (path, file):
 
 
 def kill_a_writer(place: Path) -> list[Path]:
-    """Drafts that a killed process left."""
     before = set(place.iterdir())
     assert subprocess.run([sys.executable, "-c", KILLED, str(place)], timeout=60).returncode == -9
     return sorted(set(place.iterdir()) - before)
@@ -51,7 +50,7 @@ def test_what_a_killed_process_left_is_swept_and_nothing_else(tmp_path):
             assert not any(path.exists() for path in left)
 
 
-# of another machine, and of nobody
+# from another machine, and from nobody
 @pytest.mark.parametrize("name", [".cpam-bayes-00000000-1-x", ".cpam-bayes-x8fs7d"])
 def test_drafts_of_unknown_processes_are_swept_after_a_day(tmp_path, name):
     draft = tmp_path / name

@@ -1,4 +1,4 @@
-"""Studies keep working: small runs, saved results, and the list of them."""
+"""Studies keep working: small runs, saved results, and their index."""
 
 import importlib.util
 import itertools
@@ -19,14 +19,14 @@ PROJECT = Path(__file__).parent.parent
 SAVED = PROJECT / "studies" / "results"
 STUDIES = sorted(path.stem for path in (PROJECT / "studies").glob("[0-9]*.py"))
 AGREEMENT = "02_agreement"
-# Numbers of studies whose smallest run takes more than ten seconds of a processor.
+# over ten CPU seconds
 LONG = ("05", "07", "08", "09", "12", "14", "15", "21", "23", "24", "26", "27", "29")
 CASES = "17_worked_cases"
 
 
 @cache
 def script(folder: str, name: str) -> ModuleType:
-    """A script with a number for a name, which the import statement cannot spell."""
+    """Import a script whose name begins with a number."""
     spec = importlib.util.spec_from_file_location(f"{folder}_{name}", PROJECT / folder / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -35,7 +35,6 @@ def script(folder: str, name: str) -> ModuleType:
 
 @once_a_run
 def quick_text(name: str) -> str:
-    """Results of the small version of a study as JSON, which has no NaN."""
     return json.dumps(script("studies", name).run(True), allow_nan=False)
 
 
@@ -51,7 +50,6 @@ GROWTH = script("studies", "23_growth")
 
 
 def weekly_if_long(names: Iterable[str]) -> list[object]:
-    """Studies as parameters of a test, the long ones left to the weekly run."""
     return [pytest.param(name, marks=pytest.mark.weekly if name[:2] in LONG else ()) for name in names]
 
 
@@ -75,7 +73,7 @@ def test_saved_results_are_those_of_a_full_run_and_help_computes_nothing(name, m
 
 
 def listed(readme: Path) -> set[str]:
-    """The scripts that a README's table begins a row with."""
+    """Scripts that begin a row of a README's table."""
     return set(re.findall(r"^\| `([\w.]+)\.py` \|", readme.read_text(encoding="utf-8"), re.MULTILINE))
 
 
@@ -98,8 +96,7 @@ def test_solvers_meet_their_references_and_agree_within_the_limit():
 def test_saved_studies_converge_and_agree():
     found = saved("01_first_light")["identifications"]
     assert {(f["swarm"], f["solver_error_percent"] <= 0.05) for f in found} == {("converged", True)}
-    # thin plates: the error of the mesh; thick ones: as much again from the theory itself
-    for row in saved(AGREEMENT)["specimens"]:
+    for row in saved(AGREEMENT)["specimens"]:  # thin: error of the mesh; thick: of the theory too
         if row["bricks"] is not None:
             assert row["bricks"]["same_kinds"]
             assert abs(row["bricks"]["worst_percent"]) <= (0.17 if row["modes"] == 10 else 0.06)
@@ -108,8 +105,7 @@ def test_saved_studies_converge_and_agree():
 def test_edges_are_reduced_by_the_symmetry_of_the_plate_and_navier_is_the_thin_plate_formula():
     study = script("studies", AGREEMENT)
     mirrored, turned = study.distinct_edges(True), study.distinct_edges(False)
-    # Burnside: (81 + 27 + 27 + 9) / 4 and (81 + 9) / 2 fixed combinations
-    assert (len(mirrored), len(turned)) == (36, 45)
+    assert (len(mirrored), len(turned)) == (36, 45)  # Burnside: (81 + 27 + 27 + 9) / 4, (81 + 9) / 2
     assert set(mirrored) <= set(turned)
     assert study.edges_form("FCCF", True) == "CCFF"
     assert study.edges_form("FCCF", False) != study.edges_form("FFCC", False)
@@ -122,7 +118,7 @@ def test_edges_are_reduced_by_the_symmetry_of_the_plate_and_navier_is_the_thin_p
 
 
 def test_an_answer_has_its_verdict():
-    # the cause, what is claimed, and the causes that are named
+    # the cause, the claim, and the causes named
     verdicts = {"none none": "right", "none other": "wrong", "none named warp": "wrong", "warp none": "calm"}
     verdicts |= {"warp named warp": "right", "warp named skew": "wrong", "warp other": "other"}
     verdicts |= {"warp class warp skew": "right as a class", "warp class taper_x skew": "wrong"}

@@ -1,4 +1,4 @@
-"""Nothing that Windows lacks is needed: the commands run, and end, where its names are taken away."""
+"""The commands run and end without the names that Windows lacks."""
 
 import os
 import signal
@@ -10,7 +10,7 @@ import pytest
 
 from tests.plate_file import MEASURED, PLATE
 
-# Worker processes import the script too, so that they lack the same.
+# Worker processes import the script too, so that they lack the same names.
 SCRIPT = """
 import os, signal, sys
 from multiprocessing import popen_fork, resource_tracker
@@ -47,10 +47,8 @@ LONG = ("--swarms", "1", "--iterations", "100000", "--particles", "10000")
 
 @pytest.fixture
 def folder(tmp_path):
-    """The script and files that it is run on."""
     coin = "frequencies_hz = [113, 165, 217, 286, 299, 493]\n"
-    # what a killed process left is looked at
-    files = {"run.py": SCRIPT, "coin.toml": coin, ".cpam-bayes-00000000-1-left": ""}
+    files = {"run.py": SCRIPT, "coin.toml": coin, ".cpam-bayes-00000000-1-left": ""}  # of a killed process
     for name, text in (files | dict.fromkeys(("panel.toml", "other.toml"), PLATE + MEASURED)).items():
         (tmp_path / name).write_text(text, encoding="utf-8")
     return tmp_path
@@ -82,7 +80,7 @@ def test_ctrl_c_ends_a_run_without_the_names_that_windows_lacks(folder, argument
     process = subprocess.Popen(
         [sys.executable, "run.py", *arguments, "--out", "answer"], cwd=folder, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True,
-        # a shell that puts the tests in the background has them ignore interrupts
+        # a shell that runs the tests in the background makes them ignore interrupts
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
     assert any(line in said for said in process.stderr)

@@ -1,4 +1,4 @@
-"""Forward models of a few lines, for posteriors that can be integrated by hand or by quadrature."""
+"""Minimal forward models, for posteriors that can be integrated by hand or by quadrature."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from cpam_bayes.priors import Prior
 
 @dataclass(frozen=True)
 class ToyModel:
-    """Frequencies by a function of parameter vectors (m, n), which gives them and their Jacobian."""
+    """A model with a function of parameter vectors (m, n) that returns frequencies and their Jacobian."""
 
     parameters: ParameterSet
     function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -38,8 +38,6 @@ def listed(f: np.ndarray, sd: np.ndarray | None, *, relative: float | None = Non
 
 
 def linear(mean: np.ndarray, slope: np.ndarray, own: ParameterSet) -> ToyModel:
-    """Frequencies mean + slope x."""
-
     def function(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return mean + x @ slope.T, np.broadcast_to(slope, (len(x), *slope.shape))
 
@@ -47,10 +45,8 @@ def linear(mean: np.ndarray, slope: np.ndarray, own: ParameterSet) -> ToyModel:
 
 
 def independent(off: tuple[float, ...], sd: float = 1.0) -> Posterior:
-    """Parameters uniform on [0, 1], each moving one frequency by 10 Hz, measured ``off`` from its 0.
-
-    The posterior is a product of Gaussians of mean off / 10 and standard deviation sd / 10, cut to [0, 1].
-    """
+    """Parameters uniform on [0, 1], each shifting one frequency by 10 Hz, measured ``off`` from that at 0.
+    The posterior is a product of Gaussians, mean off / 10 and standard deviation sd / 10, cut to [0, 1]."""
     n = len(off)
     mean = 100.0 * np.arange(1, n + 1)
     own = parameters(**{f"p{i}": Uniform(0.0, 1.0) for i in range(n)})
@@ -74,9 +70,7 @@ def two_peaks(separation: float = 1.0) -> Posterior:
 
 def crossing() -> Posterior:
     """Two modes that cross at a = 0, sorted, so that each frequency has a kink there.
-
-    The list is met exactly at (0.4, 0.7); at a < 0 both frequencies take the other mode's slope.
-    """
+    The list is met exactly at (0.4, 0.7); at a < 0 both frequencies take the other mode's slope."""
     own = parameters(a=Uniform(-1.0, 1.0), b=Uniform(-1.0, 1.0))
     mean, slope = np.array([200.0, 200.0]), np.array([[10.0, 6.0], [-10.0, 9.0]])
 
@@ -104,8 +98,7 @@ def integral(posterior: Posterior, edges: tuple[np.ndarray, ...]) -> float:
 
 def integral_over_noise(posterior: Posterior, lower: float = 1e-4, upper: float = 0.3) -> float:
     """Log of the integral over two parameters and the noise of a linear model, exact to about 1e-3."""
-    # at each noise the grid is as fine as the Gaussian over the other two is narrow
-    f = posterior.measurement.frequencies
+    f = posterior.measurement.frequencies  # at each noise level the grid is as fine as the Gaussian
     prediction = posterior.model.predict(np.zeros((1, 2)), jacobian=True)
     weighted = prediction.jacobian[0] / f[:, None]
     covariance = np.linalg.inv(weighted.T @ weighted)

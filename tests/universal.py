@@ -1,4 +1,4 @@
-"""Universal files as their documentation lays them out, written line by line and not by a library."""
+"""Universal files written line by line after their documentation, without a library."""
 
 from collections.abc import Sequence
 
@@ -6,12 +6,11 @@ import numpy as np
 
 
 def block(kind: int, *lines: str) -> str:
-    """A dataset between its marks."""
     return "\n".join(["    -1", f"{kind:6d}", *lines, "    -1", ""])
 
 
 def nodes_15(points: np.ndarray, numbers: Sequence[int] | None = None) -> str:
-    """Nodes (n, 2 or 3), a line each: 4I10, 1P3E13.5."""
+    """Nodes (n, 2 or 3), one line each: 4I10, 1P3E13.5."""
     rows = np.column_stack((points, np.zeros((len(points), 3 - points.shape[1]))))
     lines = [
         f"{number:10d}{0:10d}{0:10d}{8:10d}" + "".join(f"{value:13.5E}" for value in row)
@@ -30,14 +29,14 @@ def nodes_2411(points: np.ndarray) -> str:
 
 
 def units_164(length: float) -> str:
-    """Units by the factor of length: what SI is multiplied by."""
+    """Units defined by the factor of length, which multiplies SI values."""
     factors = "".join(f"{value:25.16E}".replace("E", "D") for value in (length, 1.0, 1.0))
     offset = f"{273.15:25.16E}".replace("E", "D")
     return block(164, f"{1:10d}{'SI':>20s}{2:10d}", factors, offset)
 
 
 def mode_55(frequency, shape, number=1, *, viscous=0.0, hysteretic=0.0, damping=None, nodes=None):
-    """A mode with its shape (3, n): a normal one, or with ``damping`` a complex one, with its eigenvalue."""
+    """A mode with its shape (3, n): normal, or complex with its eigenvalue if ``damping`` is given."""
     heads = [f"shape {number}", *["NONE"] * 4]
     if damping is None:
         kind = [f"{1:10d}{2:10d}{2:10d}{8:10d}{2:10d}{3:10d}", f"{2:10d}{4:10d}{1:10d}{number:10d}"]
@@ -55,6 +54,5 @@ def mode_55(frequency, shape, number=1, *, viscous=0.0, hysteretic=0.0, damping=
 
 
 def grid(length: float, width: float, n_x: int = 5, n_y: int = 4) -> np.ndarray:
-    """Nodes of a regular grid, (n, 2)."""
     x, y = np.linspace(0.0, length, n_x), np.linspace(0.0, width, n_y)
     return np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)

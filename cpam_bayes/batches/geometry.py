@@ -1,12 +1,12 @@
-"""One model for all plates of one geometry: lists are carried to the sizes of the first of them.
+"""One model for all plates of one geometry: their lists are scaled to the sizes of the first.
 
-Plates cut alike differ by some per cent in thickness and mass. A frequency goes with the sizes as
+Plates of one cut differ by some per cent in thickness and mass. A frequency scales with the sizes as
 
     f(s) / f(s0) = product over k of (s_k / s0_k)^p_k,    p_k = d log f / d log s_k,
 
-of which the powers are taken at the reference constants: p = 1 for the thickness and -1/2 for the density of
-a thin plate, less what shear takes. What is left out is of second order, the change of a size times the
-change of its power with the constants.
+with the powers at the reference constants: for a thin plate p = 1 for the thickness and -1/2 for the density,
+apart from shear. The neglected term is of second order, the change of a size times the change of its power
+with the constants.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from cpam_bayes.plate import Specimen
 
 Array = NDArray[Any]
 
-# Sizes that may differ within a group, relative: so far the powers hold to 1e-4 of a frequency.
+# Largest relative difference of a size within a group: up to it the powers hold to 1e-4 of a frequency.
 _SIZES: Final = {"thickness": 0.05, "density": 0.05, "length": 0.01, "width": 0.01}
 _RANGE, _BESIDE = 0.1, 0.01
-# A power is good to 1e-3 of it: 5e-5 of a frequency at the ends of these ranges.
+# The powers are accurate to 1e-3, 5e-5 of a frequency at the ends of these ranges.
 _TOLERANCE: Final = Tolerance(kept=3e-4, rich=2e-4)
 
 
 def groups_of(specimens: Sequence[Specimen]) -> list[list[int]]:
-    """Numbers of the plates whose lists can be carried to the first of each group."""
+    """Indices of plates grouped so that each list can be scaled to the first of its group."""
     groups: list[list[int]] = []
     keys: list[tuple[Any, ...] | None] = []
     for i, specimen in enumerate(specimens):
@@ -49,7 +49,7 @@ def groups_of(specimens: Sequence[Specimen]) -> list[list[int]]:
 
 
 def _geometry(specimen: Specimen) -> tuple[Any, ...] | None:
-    """All that a model depends on but the sizes; None where the modes of a list are not known in advance."""
+    """Key of all model inputs except sizes; None where the modes of a list are not known in advance."""
     measurement, plate = specimen.measurement, specimen.plate
     if measurement is None or not measurement.complete or measurement.names_modes or plate.mesh is not None:
         return None
@@ -78,7 +78,7 @@ def _are_near(one: Specimen, other: Specimen) -> bool:
 
 
 def size_powers(specimen: Specimen, n_modes: int) -> Array:
-    """d log f / d log s of the lowest modes at the reference constants, (n_modes, 4) as of ``_SIZES``."""
+    """d log f / d log s of the lowest modes at the reference constants, (n_modes, 4) as in ``_SIZES``."""
     weighed = replace(specimen, plate=replace(specimen.plate, mass=None))
     values = {name: float(getattr(weighed.plate, name)) for name in _SIZES}
     parameters = ParameterSet(
@@ -94,9 +94,9 @@ def size_powers(specimen: Specimen, n_modes: int) -> Array:
 
 
 def carried(specimen: Specimen, nominal: Specimen, powers: Array) -> Specimen | None:
-    """The specimen with the sizes of another and the list that it would have with them.
+    """The specimen with the sizes of another one, and its list scaled to them.
 
-    powers : of ``size_powers`` of the other; None where two frequencies would change places
+    powers : `size_powers` of the other; None where two frequencies would change order
     """
     measurement = specimen.measurement
     assert measurement is not None
@@ -116,7 +116,7 @@ def carried(specimen: Specimen, nominal: Specimen, powers: Array) -> Specimen | 
 
 
 def with_shared_sizes(specimens: Sequence[Specimen]) -> tuple[list[Specimen], int]:
-    """The plates of one geometry with the sizes and lists as of its first, and the number of geometries."""
+    """Plates scaled to the sizes of the first of their geometry, lists included; number of geometries."""
     shared = list(specimens)
     groups = groups_of(specimens)
     count = len(groups)

@@ -1,6 +1,6 @@
 """Quality control of constants: limits such as "E1_GPa >= 115", and a chart of individual values.
 
-A limit has the probability that a constant meets it; the chart tells the plates that differ by more than the
+A limit gives the probability that a constant meets it; the chart shows plates that deviate more than the
 batch scatters.
 """
 
@@ -20,17 +20,17 @@ from cpam_bayes.plate import USER_UNITS, to_si, to_user, unit_of, user_name
 from cpam_bayes.plate.laminate import CONSTANTS
 
 _FORM: Final = re.compile(r"\s*(\w+)\s*(>=|<=|>|<)\s*([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([a-zA-Z]*)\s*")
-# Decimal commas, and signs as documents have them.
+# Decimal commas, and the signs of typeset documents.
 _AS_TYPED: Final = str.maketrans(
     {",": ".", "\N{GREATER-THAN OR EQUAL TO}": ">=", "\N{LESS-THAN OR EQUAL TO}": "<="}
 )
-# Units that a limit may be written in, and their size in that of the plate file.
+# Units allowed in a limit, in terms of that of the plate file.
 _UNITS: Final = {"GPa": {"": 1.0, "GPa": 1.0, "MPa": 1e-3, "Pa": 1e-9}, "": {"": 1.0}}
-# Stiffer than any ply, GPa: a number above it was meant in another unit.
+# Stiffer than any ply, GPa: a larger number must be in another unit.
 _STIFFEST: Final = 2000.0
-# A number that may have thousands or decimals, 125,000 MPa.
+# A number whose separator may be of thousands or decimals, 125,000 MPa.
 _THOUSANDS: Final = re.compile(r"[1-9]\d{0,2}\.\d{3}")
-# As in a plate file, or as in tables.
+# Names as in a plate file or as in tables.
 _NAMES: Final = {
     written: name
     for user, (name, _) in USER_UNITS.items()
@@ -41,7 +41,7 @@ _NAMES: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """A limit on a constant; text : as written, name : of the constant, value : SI."""
+    """A limit on a constant; text : normalised, name : of the constant, value : SI."""
 
     text: str
     name: str
@@ -50,14 +50,14 @@ class Limit:
 
     @property
     def shown(self) -> str:
-        """The limit as it is read: E1 >= 115 GPa."""
+        """The limit as shown: E1 >= 115 GPa."""
         number = f"{to_user(self.name, self.value):.10g} {unit_of(self.name)}"
         return f"{self.name} {'>=' if self.side == 'at least' else '<='} {number}".rstrip()
 
 
 @dataclass(frozen=True, slots=True)
 class MarginalPosterior:
-    """The posterior of one constant: a Gaussian about its mean, cut at the bounds of its prior, SI."""
+    """The posterior of one constant: a Gaussian truncated at the bounds of its prior, SI."""
 
     centre: float
     sd: float
@@ -65,7 +65,7 @@ class MarginalPosterior:
     upper: float
 
     def below(self, value: float) -> float:
-        """Probability of a smaller constant."""
+        """Probability that the constant is below a value."""
         if value <= self.lower:
             return 0.0
         if value >= self.upper:
@@ -74,7 +74,7 @@ class MarginalPosterior:
         return (here - low) / (high - low)
 
     def meets(self, limit: Limit) -> float:
-        """Probability of meeting a limit."""
+        """Probability that the constant meets a limit."""
         below = self.below(limit.value)
         return 1.0 - below if limit.side == "at least" else below
 
@@ -91,7 +91,7 @@ class MarginalPosterior:
 def read_limit(text: str) -> Limit:
     """Read a limit such as ``E1_GPa >= 115``, in the unit of the plate file or a stated one.
 
-    raises ValueError for a text that is none
+    raises ValueError for any other text
     """
     match = _FORM.fullmatch(text.translate(_AS_TYPED))
     if match is None or not _is_number(match[3]):
@@ -133,7 +133,7 @@ def _is_number(text: str) -> bool:
         return False
 
 
-# Standard deviation of normal values over the median range of two of them; limits in standard deviations.
+# Sd of a normal variable over the median absolute difference of two draws; control limits in sd.
 OF_MEDIAN_RANGE, SIGMAS = 1.0484, 3.0
 LEAST_PLATES: Final = 3
 
@@ -143,7 +143,7 @@ class ControlChart:
     """Median and limits of one constant over the plates of a batch, in the order of the batch.
 
     sigma : from the median moving range
-    outside : numbers, from 0, of the values beyond the limits
+    outside : indices of the values beyond the limits
     """
 
     median: float
@@ -157,7 +157,7 @@ class ControlChart:
 
 
 def control_chart(values: Sequence[float]) -> ControlChart | None:
-    """The chart of individual values with limits from their moving ranges; None of fewer than three.
+    """The control chart of individual values, from their moving ranges; None for fewer than three.
 
     median(x) +- 3 * 1.0484 median |x_i - x_(i-1)|: medians, because a bad plate would widen limits from means
     and hide (Montgomery, Introduction to Statistical Quality Control, section 6.4).
@@ -166,7 +166,7 @@ def control_chart(values: Sequence[float]) -> ControlChart | None:
         return None
     x = np.asarray(values, dtype=float)
     ranges = np.abs(np.diff(x))
-    # more than half of the neighbours are equal
+    # the median is zero where more than half of the neighbours are equal
     typical = float(np.median(ranges)) or float(ranges.mean())
     median, sigma = float(np.median(x)), OF_MEDIAN_RANGE * typical
     outside = np.flatnonzero(np.abs(x - median) > SIGMAS * sigma)

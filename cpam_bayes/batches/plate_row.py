@@ -1,6 +1,6 @@
 """The row of one plate in a batch: its constants, their likelihood, the claim, or why there is no answer.
 
-Finished rows are kept on disk, so that a stopped batch goes on.
+Finished rows are stored, so that a stopped batch resumes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from cpam_bayes.inference.posterior import plate_posterior
 from cpam_bayes.plate import Measurement, Specimen, to_user
 from cpam_bayes.storage import read_sealed, set_aside, write_sealed
 
-# Least relative error of the solver that a likelihood counts with.
+# Smallest relative solver error in a likelihood.
 _SOLVER_FLOOR = 5e-5
 
 
@@ -35,10 +35,10 @@ _SOLVER_FLOOR = 5e-5
 class RowConstant:
     """One constant of a plate, SI.
 
-    value, sd, low, high, verdict : as `identify` gives them by relative residuals; low and high are the 95 %
+    value, sd, low, high, verdict : as from `identify`; low and high are the 95 %
         interval, nan where none can be given
-    posterior : Laplace's approximation of its marginal posterior
-    decided_by : the size of the plate whose standard deviation is most of the sd, "" where noise is
+    posterior : normal with this value and sd, truncated at the bounds of the prior
+    decided_by : the size whose standard deviation dominates the sd, "" where noise does
     """
 
     name: str
@@ -52,19 +52,19 @@ class RowConstant:
 
     @property
     def is_open(self) -> bool:
-        """Whether the frequencies leave it open."""
+        """Whether the frequencies leave the constant undetermined."""
         return self.verdict not in (Verdict.DATA, Verdict.BOTH)
 
     @property
     def text(self) -> str:
-        """In the unit of the plate file."""
+        """Value +- sd, in plate-file units."""
         value, sd = with_spread(to_user(self.name, self.value), to_user(self.name, self.sd))
         return f"{value} +- {sd}{'' if self.verdict is Verdict.DATA else ' (open)'}"
 
 
 @dataclass(frozen=True, slots=True)
 class LocalLikelihood:
-    """The likelihood of a plate's constants about its optimum, sizes integrated over.
+    """The likelihood of a plate's constants about its optimum, sizes marginalised.
 
     log p(list | c) = gradient . d - 1/2 d . information . d + constant, d = c - at
 
@@ -79,9 +79,9 @@ class LocalLikelihood:
 
 @dataclass(frozen=True, slots=True)
 class PlateDiagnosis:
-    """The claim about one plate, as of `diagnose`.
+    """The claim about one plate, as in `diagnose`.
 
-    size : of the most probable of the causes in its most probable variant, SI, None where it has none
+    size : of the most probable claimed cause in its most probable variant, SI, None where it has none
     """
 
     claim: str
@@ -95,15 +95,15 @@ class PlateDiagnosis:
 class PlateRow:
     """One plate of a batch.
 
-    file : as it was given
+    file : as given
     message : why it failed, or the warnings of its identification
     rms : of the relative residuals; noise : relative standard deviation that the intervals assume
-    misfit : over the stated noise, as of `PointEstimate`; 1 where that explains it
-    slip : of the plate file without which it fits, with the number of its mode or frequency
-    density : kg/m3 of a plate that was weighed, by its stated sizes
-    certificate : laboratory, operator and date of its file
-    remarks : what its list may have wrong, and what was left out or added by hand
-    all_rows : the constants with all rows of a list that some were left out of
+    misfit : over the stated noise, as in `PointEstimate`; 1 where the noise explains it
+    slip : of the plate file that explains the misfit, with the number of its mode or frequency
+    density : kg/m3 of a weighed plate with its stated sizes
+    certificate : laboratory, operator and date in its file
+    remarks : possible errors of its list, and rows left out or added by hand
+    all_rows : the constants with all rows of a list, where some were left out
     """
 
     file: str
@@ -126,7 +126,7 @@ class PlateRow:
 
     @property
     def is_judged(self) -> bool:
-        """Whether the plate model describes its list, so that its constants count."""
+        """Whether the plate model describes the list, so that the constants count."""
         return self.status == "done" and self.misfit == 1.0
 
     def constant(self, name: str) -> RowConstant | None:
@@ -134,12 +134,12 @@ class PlateRow:
         return next((c for c in self.constants if c.name == name), None)
 
     def stored(self) -> bytes:
-        """The row as a text that `row_of` reads."""
+        """The row as bytes, read back by `row_of`."""
         return json.dumps(asdict(self), default=lambda verdict: verdict.value).encode()
 
 
 def row_of(content: bytes) -> PlateRow:
-    """The row of a stored text; raises ``ValueError``, ``KeyError`` or ``TypeError`` for others."""
+    """The row stored as bytes; raises ``ValueError``, ``KeyError`` or ``TypeError`` for other content."""
     raw: dict[str, Any] = json.loads(content)
     constants, all_rows = (tuple(map(_row_constant, raw[key])) for key in ("constants", "all_rows"))
     likelihood, diagnosis = raw["likelihood"], raw["diagnosis"]
@@ -170,7 +170,7 @@ def _likelihood(raw: Mapping[str, Any]) -> LocalLikelihood:
 
 
 def failed_row(file: str, name: str, message: str) -> PlateRow:
-    """The row of a plate that has no answer."""
+    """The row of a plate without an answer."""
     return PlateRow(file, name, "failed", " ".join(message.split()))
 
 
@@ -183,9 +183,9 @@ def computed_row(
     diagnosis: PlateDiagnosis | None = None,
     slip: tuple[str, int] | None = None,
 ) -> PlateRow:
-    """The row of a plate with the moments of its posterior.
+    """The row of a plate from its point estimate.
 
-    message : what the identification warns of; search : how its swarms ended; slip : as of `PlateRow`
+    message : warnings of the identification; search : status of its swarms; slip : as in `PlateRow`
     """
     specimen = estimate.specimen
     likelihood = local_likelihood(estimate)
@@ -218,17 +218,18 @@ def computed_row(
 
 
 def _decided_by(estimate: PointEstimate, constant: str, sd: float) -> str:
-    """The size whose standard deviation makes most of a constant's relative one, "" where none does."""
+    """The size that contributes most of a constant's relative sd, "" where none does."""
     parts = {e.name: abs((e.sd or 0.0) * e.shift[constant]) for e in estimate.scale_errors}
     name = max(parts, key=lambda name: parts[name], default="")
     return name if name and parts[name] > sd / np.sqrt(2.0) else ""
 
 
 def local_likelihood(estimate: PointEstimate) -> LocalLikelihood:
-    """The likelihood about the answer of the swarm, with its noise and with [plate.sd] integrated over.
+    """The likelihood about the swarm's optimum, with its noise, marginalised over [plate.sd].
 
-    An error z of a size, in its standard deviations, shifts the constants that repeat the list by B z: the
-    integral over z of a Gaussian likelihood is F - F B (1 + B^T F B)^-1 B^T F, and its gradient alike.
+    An error z of a size, in its standard deviations, shifts the constants that fit the list by B z. The
+    integral of a Gaussian likelihood over z has information F - F B (1 + B^T F B)^-1 B^T F; the gradient
+    likewise.
     """
     specimen = estimate.specimen
     measurement = specimen.measurement
@@ -250,7 +251,7 @@ def local_likelihood(estimate: PointEstimate) -> LocalLikelihood:
 
 
 def _with_noise(estimate: PointEstimate, measurement: Measurement) -> Measurement:
-    """The measurement with the noise that the intervals of the swarm assume, Birge's ratio in it."""
+    """The measurement with the noise assumed by the intervals of the swarm, Birge's ratio included."""
     if measurement.frequency_sd is not None:
         return replace(measurement, frequency_sd=estimate.misfit * measurement.frequency_sd)
     level = estimate.noise if np.isfinite(estimate.noise) else estimate.rms
@@ -258,7 +259,7 @@ def _with_noise(estimate: PointEstimate, measurement: Measurement) -> Measuremen
 
 
 def diagnosed(specimen: Specimen, *, sets: bool = True) -> PlateDiagnosis:
-    """The claim, without what `diagnose` adds to it: the gain, detectable sizes, further tests.
+    """The claim of a diagnosis, without gain, detection limits and further tests.
 
     sets : whether several causes at once are weighed
     """
@@ -269,7 +270,7 @@ def diagnosed(specimen: Specimen, *, sets: bool = True) -> PlateDiagnosis:
     claim = found.claim
     first = next((c for c in found.causes if c.name in claim.causes), None)
     sizes = [] if first is None else [first.parameters[p.name][0] for p in first.hypothesis.parameters[:1]]
-    # the most probable first, as the causes of the diagnosis are
+    # the most probable first, as in the diagnosis
     named = [c.name for c in found.causes if c.name in claim.causes]
     return PlateDiagnosis(
         claim.kind,
@@ -280,15 +281,15 @@ def diagnosed(specimen: Specimen, *, sets: bool = True) -> PlateDiagnosis:
     )
 
 
-# To be raised when the same inputs give other numbers.
+# To be increased when the same inputs give other numbers.
 _FORMAT: Final = 3
 
 
 def row_key(specimen: Specimen, seed: int, diagnosis: bool | Literal["brief"], sources: str) -> str:
-    """Hash of all that a row depends on: the plate as it is computed, its list, the seed.
+    """Hash of all inputs of a row: the plate as computed, its list, the seed.
 
-    diagnosis : "brief" for that of a plate that misfits, without sets of causes
-    sources : fingerprint of the code that computes it
+    diagnosis : "brief" for that of a misfitting plate, without sets of causes
+    sources : fingerprint of the code
     """
     measurement, plate = specimen.measurement, specimen.plate
     content: dict[str, Any] = {
@@ -322,7 +323,6 @@ def row_key(specimen: Specimen, seed: int, diagnosis: bool | Literal["brief"], s
 
 
 def _shapes(measurement: Measurement) -> str | None:
-    """Hash of the measured shapes."""
     shapes = measurement.shapes
     if shapes is None:
         return None
@@ -330,7 +330,7 @@ def _shapes(measurement: Measurement) -> str | None:
 
 
 def read_row(directory: Path | None, key: str) -> PlateRow | None:
-    """The stored row of a plate; None where there is none, or it is damaged: it is set aside."""
+    """The stored row of a plate; None where there is none or it is damaged, which is set aside."""
     if directory is None:
         return None
     path = _path(directory, key)
@@ -348,7 +348,7 @@ def read_row(directory: Path | None, key: str) -> PlateRow | None:
 
 
 def write_row(directory: Path | None, key: str, row: PlateRow) -> None:
-    """Store a finished plate; a directory that cannot be written to ends the storing, not the work."""
+    """Store a finished plate; silently skipped where the directory cannot be written."""
     if directory is None:
         return
     with suppress(OSError):

@@ -1,7 +1,8 @@
 """A batch of one material: its mean constants and their scatter from plate to plate, by emcee.
 
-The constants of plate i are drawn from those of the batch, c_i ~ N(mu, diag(tau^2)), and its list says
-log p(list_i | c) = g . d - 1/2 d . F d about its optimum, d = c - at (Laplace). With c_i integrated over,
+The constants of plate i are drawn from those of the batch, c_i ~ N(mu, diag(tau^2)), and the likelihood of
+its list is log p(list_i | c) = g . d - 1/2 d . F d about its optimum, d = c - at (Laplace). Marginalised over
+c_i,
 
     log p(list_i | mu, tau) = g . e - 1/2 e . F e + 1/2 r . (T^-1 + F)^-1 r - 1/2 log det(1 + T F),
 
@@ -25,20 +26,20 @@ from cpam_bayes.running import single_blas_thread
 Array = NDArray[Any]
 
 LEAST_PLATES: Final = 3
-# Prior of a scatter, relative: half a Student-t, 5 % wide, as sheets of one material differ; its bounds.
+# Prior of a relative scatter: half a Student-t of width 5 %, as sheets of one material differ; its bounds.
 _WIDTH, _FREEDOM, _LEAST, _MOST = 0.05, 4.0, 1e-4, 0.5
 _SETTINGS: Final = EnsembleSettings(walkers=64, round_steps=200, most_steps=6000)
-# Scatter of walkers at the start, relative.
+# Initial spread of the walkers, relative.
 _START_MEAN, _START_SCATTER = 0.01, (0.005, 0.05)
 
 
 @dataclass(frozen=True, slots=True)
 class PopulationConstant:
-    """One constant of the batch, SI; each triple is mean, 2.5 % and 97.5 % quantile, with the sd before it.
+    """One constant of the batch, SI; each tuple is mean, sd, 2.5 % and 97.5 % quantile.
 
     mean : of the batch
     scatter : relative standard deviation from plate to plate
-    next_plate : of a further plate of the batch
+    next_plate : predictive, for a further plate of the batch
     """
 
     name: str
@@ -77,7 +78,7 @@ class BatchPosterior:
     information: Array
 
     def log_prob(self, x: Array) -> Array:
-        """Log probability of vectors (m, 2 n), (m,)."""
+        """Log probability of vectors x (m, 2 n), (m,)."""
         x = np.atleast_2d(x)
         value = self.parameters.log_prior(x)
         inside = np.isfinite(value)
@@ -86,7 +87,7 @@ class BatchPosterior:
         return np.asarray(value)
 
     def log_likelihood(self, x: Array) -> Array:
-        """Log likelihood of all lists at vectors (m, 2 n), up to a constant, (m,)."""
+        """Log likelihood of all lists at vectors x (m, 2 n), up to a constant, (m,)."""
         n = len(self.scale)
         tau = x[:, None, n:]
         away = x[:, None, :n] - self.at
@@ -103,7 +104,8 @@ def batch_posterior(
 ) -> BatchPosterior:
     """The posterior of means and scatters.
 
-    Means have a uniform prior within bounds (SI), scatters half a Student-t of 5 %, four degrees of freedom.
+    Means have a uniform prior within bounds (SI), scatters half a Student-t of width 5 % with four degrees of
+    freedom.
 
     raises ValueError unless the likelihoods are of the same constants
     """
@@ -162,11 +164,11 @@ def population_of(rows: Sequence[PlateRow], seed: int) -> Population:
 
 
 def _start(density: BatchPosterior, seed: int) -> Array:
-    """Walkers about the mean of the plates, weighed by what each list says, (ensembles, walkers, 2 n)."""
+    """Walkers about the information-weighted mean of the plates, (ensembles, walkers, 2 n)."""
     rng = np.random.default_rng([seed, 10])
     n, parameters = len(density.scale), density.parameters
     shape = (_SETTINGS.ensembles, _SETTINGS.walkers, n)
-    # a constant that no list says anything about starts at the mean of the answers
+    # a constant that no list determines starts at the mean of the answers
     weak = np.eye(n)
     told = np.einsum("pij,pj->i", density.information, density.at) + density.gradient.sum(axis=0)
     mean = np.linalg.solve(density.information.sum(axis=0) + weak, told + density.at.mean(axis=0))

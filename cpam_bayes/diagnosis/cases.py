@@ -1,4 +1,4 @@
-"""From plate files to plates with their lists, paired with the modes of their models, ready to be weighed."""
+"""Plate cases from plate files, every frequency paired with a mode, and the hypotheses about them."""
 
 from __future__ import annotations
 
@@ -31,19 +31,18 @@ from cpam_bayes.parameters import Parameter
 from cpam_bayes.plate import Specimen
 from cpam_bayes.running import TimeIsUpError
 
-# Modes computed beyond a complete list, which may lack two, and beyond one that says it is incomplete.
+# Spare modes for a complete list, which may lack two modes, and for one that is declared incomplete.
 _SPARE, _MORE_SPARE = 2, 6
 
 
 def plate_case(
     specimen: Specimen, notify: Callable[[str], None] = lambda text: None, *, is_rough: bool = False
 ) -> PlateCase:
-    """A plate with its list, every frequency given to a mode.
+    """Plate case in which every measured frequency is paired with a mode.
 
-    A list is paired in order, and labels and measured shapes fix their modes. The pairings of an incomplete
-    list begin from there. Raises ``ValueError`` for a specimen without a list or without unknown constants.
-
-    is_rough : whether its model is a rough one
+    The list is paired in order, except where labels or measured shapes fix the mode; the search for pairings
+    of an incomplete list starts there. Raises ``ValueError`` for a specimen without a list or without
+    unknown constants.
     """
     measurement = specimen.measurement
     if measurement is None or not measurement.size:
@@ -65,9 +64,9 @@ def plate_case(
 def hypotheses_of(
     cases: Sequence[PlateCase], catalogue: tuple[Effect, ...] = CATALOGUE
 ) -> list[tuple[Hypothesis, tuple[int, ...]]]:
-    """All single hypotheses with the plates that they are about, none first.
+    """All single hypotheses, each with the plates it concerns; none comes first.
 
-    With several specimens a cause may be that of one of them or, as probably, common to all with one size.
+    With several specimens a cause may act on one of them or, as probably, on all with a common size.
     """
     singles = [
         single_hypotheses(
@@ -86,7 +85,7 @@ def hypotheses_of(
     for i, case in enumerate(cases):
         groups.setdefault(case.models.specimen.specimen, []).append(i)
     hypotheses = _causes_of_several(singles, [tuple(group) for group in groups.values()])
-    # what only some plates can have leaves a part of its probability, which goes to all causes
+    # causes that only some plates can have leave a part of the prior, which is shared among all causes
     alone = sum(h.prior for h in singles[0] if h.cause not in (NONE, OTHER))
     factor = alone / sum(h.prior for h, _ in hypotheses)
     first = [(h, every) for h in singles[0] if h.cause in (NONE, OTHER)]
@@ -96,10 +95,10 @@ def hypotheses_of(
 def _causes_of_several(
     singles: Sequence[tuple[Hypothesis, ...]], groups: Sequence[tuple[int, ...]]
 ) -> list[tuple[Hypothesis, tuple[int, ...]]]:
-    """Causes with the plates that they are about, half of the probability on those common to all.
+    """Causes with the plates they concern; half of the prior goes to causes common to all plates.
 
-    singles : hypotheses of every plate
-    groups : plates by specimen
+    singles : hypotheses of each plate
+    groups : plate numbers, by specimen
     """
     every = tuple(range(len(singles)))
     if len(groups) == 1:
@@ -113,7 +112,7 @@ def _causes_of_several(
 
 
 def differing_priors(cases: Sequence[PlateCase]) -> tuple[str, ...]:
-    """Constants whose prior is not the same in the files of plates of one material; the first one's holds."""
+    """Names of constants whose prior differs between files of one material; the first file's one holds."""
     first: dict[tuple[str | None, str], Parameter] = {}
     names = []
     for case in cases:
@@ -127,9 +126,9 @@ def differing_priors(cases: Sequence[PlateCase]) -> tuple[str, ...]:
 
 
 def _common(singles: Sequence[tuple[Hypothesis, ...]], plates: tuple[int, ...]) -> list[Hypothesis]:
-    """Causes that all of some plates may have in common; a material is that of all.
+    """Causes that the given plates may have in common; another material always concerns all plates.
 
-    A size that they share is one that each of them can have: the prior is that of the plate with the least.
+    The prior of a common size is that of the plate with the narrowest range.
     """
     each = [{(h.cause, h.variant): h for h in singles[i] if h.records} for i in plates]
     shared = [key for key, h in each[0].items() if not h.is_of_one_test and all(key in o for o in each)]
@@ -146,10 +145,9 @@ def _widest_size(hypothesis: Hypothesis) -> float:
 def _of_specimen(
     singles: Sequence[tuple[Hypothesis, ...]], tests: tuple[int, ...]
 ) -> list[tuple[Hypothesis, tuple[int, ...]]]:
-    """Causes of one specimen with its tests that they are about, as probable as with one test.
+    """Causes of one specimen with the tests they concern, as probable as with a single test.
 
-    A flaw of the plate is about all tests in which it can act; clamps and errors of a list are about one
-    each.
+    A flaw of the plate concerns all tests in which it can act; a clamp or an error of a list concerns one.
     """
     flaws: dict[tuple[str, str], tuple[Hypothesis, list[int]]] = {}
     causes: list[tuple[Hypothesis, tuple[int, ...]]] = []
@@ -177,9 +175,9 @@ def build_models(
     executor: Executor | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> None:
-    """Build the models that hypotheses need, on all workers of an executor.
+    """Build the models that the hypotheses need, in parallel on an executor.
 
-    They are the same bit for bit on any. What cannot be sent to a worker is built when it is asked for.
+    They are bit-identical on any executor. An effect that cannot be pickled is built on first use.
     """
     wanted = _wanted(cases, hypotheses)
     if not wanted:
@@ -216,7 +214,7 @@ def _built(plates: Sequence[PlateModels], item: tuple[int, Effect | None]) -> Mo
 def _wanted(
     cases: Sequence[PlateCase], hypotheses: Sequence[tuple[Hypothesis, tuple[int, ...]]]
 ) -> list[tuple[int, Effect | None]]:
-    """Plates with the effects of their models, ``None`` for another material; what takes longest first."""
+    """Models to build as (plate, effect), ``None`` for another material; the slowest first."""
     wanted: dict[tuple[int, str, str], tuple[int, int, Effect | None]] = {}
     for hypothesis, plates in hypotheses:
         for i in plates:
@@ -244,7 +242,7 @@ def _can_be_sent(effect: Effect) -> bool:
 
 
 def is_incomplete(case: PlateCase) -> bool:
-    """Whether pairings of a plate's list are summed over."""
+    """Whether the list is incomplete, so that its pairings are summed over."""
     return not case.measurement.complete
 
 
@@ -254,21 +252,20 @@ def is_open_ended(case: PlateCase) -> bool:
 
 
 def labelled(case: PlateCase) -> Array:
-    """True for frequencies that keep the mode of their label or of their shape, (n,) bool."""
+    """Mask (n,) of the frequencies whose mode is fixed by a label or a measured shape."""
     if case.by_shape is not None:
         return np.asarray(case.by_shape.modes >= 0)
     return np.array([bool(label) for label in case.measurement.labels])
 
 
 def with_pairing(case: PlateCase, modes: Array, missed_above: int = 0) -> PlateCase:
-    """A plate whose list is paired otherwise.
+    """The plate case with another pairing of its list.
 
-    The log prior is n_paired log(1 - p) + n_missed log p + n_false log(lambda / f_last), with the modes
-    below the highest paired one that the list lacks as missed (``PairingPrior``); a list that is complete
-    has no such prior.
+    The log prior is n_paired log(1 - p) + n_missed log p + n_false log(lambda / f_last), where the modes that
+    the list lacks below its highest paired one count as missed (``PairingPrior``); a complete list has none.
 
     modes : (n,) model mode of every frequency, -1 for a false peak
-    missed_above : modes above the highest paired one and below the last frequency, a false peak then
+    missed_above : number of modes between the highest paired one and the last frequency, a false peak
     """
     if case.measurement.complete:
         return replace(case, modes=modes)
@@ -282,7 +279,7 @@ def with_pairing(case: PlateCase, modes: Array, missed_above: int = 0) -> PlateC
 
 
 def with_missed_modes(case: PlateCase, predicted: Array) -> PlateCase:
-    """The same pairing with the modes that predictions (k,) have below the last frequency as missed."""
+    """The case with unpaired predicted modes (k,) below the last frequency counted as missed."""
     if not is_open_ended(case):
         return case
     first = int(case.modes.max(initial=-1)) + 1
@@ -291,7 +288,7 @@ def with_missed_modes(case: PlateCase, predicted: Array) -> PlateCase:
 
 
 def most_probable(case: PlateCase, predicted: Array, sigma: Array) -> Array:
-    """The most probable modes (n,) at predictions (k,) with noise (n,) Hz; labelled ones keep theirs."""
+    """Most probable modes (n,) given predictions (k,) and noise (n,) Hz; labelled frequencies keep theirs."""
     f, known = case.measurement.frequencies, np.where(labelled(case), case.modes, -1)
     density = log_density(f, predicted[None], sigma)[0]
     prior = PairingPrior.of(case.measurement)
@@ -299,7 +296,7 @@ def most_probable(case: PlateCase, predicted: Array, sigma: Array) -> Array:
 
 
 def log_sum(case: PlateCase, predicted: Array, relative: float) -> Array:
-    """Log likelihood of predictions (m, k) summed over all pairings, at a relative noise, (m,)."""
+    """Log likelihood (m,) of predictions (m, k) at a relative noise, summed over all pairings."""
     f, known = case.measurement.frequencies, np.where(labelled(case), case.modes, -1)
     density, prior = log_density(f, predicted, relative * f), PairingPrior.of(case.measurement)
     return labelled_log_likelihood(density, predicted <= f[-1], f[-1], known, prior)
@@ -314,7 +311,7 @@ def log_density(f: Array, predicted: Array, sigma: Array) -> Array:
 def neighbours(case: PlateCase) -> list[Array]:
     """Modes (n,) of all pairings one move away.
 
-    A frequency is false or of another mode, or all above it are those of the next modes.
+    A move makes one frequency false or gives it another mode, or shifts it and all above it by a mode.
     """
     fixed = labelled(case)
     columns = np.setdiff1d(np.arange(case.models.n_modes), case.modes[fixed])

@@ -1,4 +1,4 @@
-"""Plates with their lists, and the log density of these under a hypothesis about each plate."""
+"""Plate cases, and the log density of their frequency lists under a hypothesis for each plate."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedLogNormal
 from cpam_bayes.plate import Measurement
 
-# Repeatability of a list that does not state it: docs/priors.md says where it is from.
+# Prior of the repeatability of a list that does not state it; docs/priors.md gives its source.
 REPEATABILITY_PRIOR = TruncatedLogNormal(0.002, 0.8, 1e-5, 0.02)
 NOISE = Parameter("relative_std", "", REPEATABILITY_PRIOR)
 # Relative scatter of a constant from plate to plate of one material, standard deviation.
@@ -36,10 +36,10 @@ class PlateCase:
     """One plate with its frequency list.
 
     modes : (n,) model mode of each frequency where the list has no error, -1 for a false peak
-    extended : reduced models with its effects so far, by name and variant
-    of_another_material : the models over the search bounds of the constants, once they are needed
+    extended : reduced models with effects that were built so far, by name and variant
+    of_another_material : models over the search bounds of the constants, built on first use
     log_pairing : log prior of the pairing of an incomplete list, with the density of its false peaks
-    by_shape : what its measured shapes say, None without them
+    by_shape : pairing by the measured shapes, None without them
     """
 
     models: PlateModels
@@ -56,7 +56,7 @@ class PlateCase:
         return self.models.specimen.name
 
     def of_other_material(self) -> PlateModels:
-        """The plate over the search bounds of its constants, built when first asked for."""
+        """Models of the plate over the search bounds of its constants, built on first use."""
         if not self.of_another_material:
             models = plate_models(self.models.specimen, self.models.n_modes, other_material=True)
             self.of_another_material.append(models)
@@ -65,7 +65,7 @@ class PlateCase:
     def with_effect(
         self, effect: Effect, notify: Callable[[str], None] = lambda text: None
     ) -> ReducedModel | LocalModel:
-        """The reduced model of the plate with an effect, built when first asked for."""
+        """Reduced model of the plate with an effect, built on first use."""
         effect = effect.repeats or effect
         key = (effect.name, effect.variant)
         if key not in self.extended:
@@ -76,12 +76,12 @@ class PlateCase:
 def comparison_of(
     cases: Sequence[PlateCase], hypotheses: Mapping[int, Hypothesis] | Hypothesis, *, scatter: float = SCATTER
 ) -> CorrelatedDensity:
-    """The plates' frequency lists against their models under a hypothesis for each plate.
+    """Log density of the plates' frequency lists under a hypothesis for each plate.
 
-    Plates of one material have the same constants; of several specimens each deviates from them.
+    Plates of one material share their constants; with several specimens each specimen deviates from them.
 
-    hypotheses : by plate, or one for all plates, with one size of the effect; plates of one specimen have
-        one size in either case
+    hypotheses : by plate, or one for all plates with a common effect size; plates of one specimen share the
+        size in either case
     """
     of_plate = (
         dict.fromkeys(range(len(cases)), hypotheses) if isinstance(hypotheses, Hypothesis) else hypotheses
@@ -107,7 +107,7 @@ def comparison_of(
 def _tolerances(
     case: PlateCase, part: Part, hypothesis: Hypothesis | None
 ) -> tuple[str, int, Mapping[str, Array]]:
-    """Specimen, number of frequencies, and their errors in common; a number taken for wrong has none."""
+    """Specimen, number of frequencies and their common errors, without those of numbers in doubt."""
     specimen, known = case.models.specimen, case.models.tolerances
     effects = () if hypothesis is None else hypothesis.effects
     wrong = {number_of(effect.name, specimen.plate) for effect in effects}
@@ -125,7 +125,7 @@ class _Joint:
     column: dict[str, int] = field(default_factory=dict)
 
     def add(self, parameter: Parameter, of: str = "") -> int:
-        """Column of a parameter, which is added if it is new.
+        """Column of a parameter, added if it is new.
 
         of : the plate or material that it belongs to, among several
         """
@@ -223,21 +223,21 @@ def _compared(
 
 
 def _repeatability(names: list[str], i: int) -> Parameter:
-    """That of one list of several, each of which is from a test of its own."""
+    """Repeatability parameter of one of several lists, each from a test of its own."""
     of = f"{names[i]}, list {i + 1}" if names.count(names[i]) > 1 else names[i]
     return replace(NOISE, name=f"{NOISE.name} of {of}", base=NOISE.name, of=of)
 
 
-# Over which ratio of frequencies, as a logarithm, the error of an effect's form is much the same.
+# Correlation length over ln f of the error of an effect's form.
 _FORM_LENGTH = 0.8
-# Part of the noise below which such an error does not count.
+# Fraction of the noise below which a form error is neglected.
 _NEGLIGIBLE = 0.1
 
 
 def with_form_error(comparison: CorrelatedDensity, hypothesis: Hypothesis, x: Array) -> CorrelatedDensity:
-    """The comparison with the errors of its effects' forms at parameters x (n,), itself where they are small.
+    """The comparison with form errors of its effects at parameters x (n,); unchanged where they are small.
 
-    kappa^2 D R D in the covariance for every effect, D = diag of its shifts of the frequencies and R their
+    Every effect adds kappa^2 D R D to the covariance, D = diag of its frequency shifts and R their
     correlation over 0.8 in ln f: no plate has an effect of exactly the catalogue's form.
     """
     added = np.zeros((len(comparison.listed.frequencies),) * 2)
@@ -261,7 +261,7 @@ def with_form_error(comparison: CorrelatedDensity, hypothesis: Hypothesis, x: Ar
 
 
 def smooth_columns(comparison: CorrelatedDensity, hypothesis: Hypothesis) -> tuple[int, ...]:
-    """Those of the hypothesis's columns that Laplace's method integrates well wherever they are left open."""
+    """Columns of the hypothesis that Laplace's method integrates well even where the data leave them open."""
     each = zip(effect_columns(comparison, hypothesis), hypothesis.parameters, strict=True)
     return tuple(column for column, p in each if p.name in hypothesis.smooth)
 
@@ -269,7 +269,7 @@ def smooth_columns(comparison: CorrelatedDensity, hypothesis: Hypothesis) -> tup
 def effect_columns(
     comparison: CorrelatedDensity, hypothesis: Hypothesis, of: Sequence[Parameter] | None = None
 ) -> tuple[int, ...]:
-    """Columns of a hypothesis's parameters, or of some of them, in the joint vector, one for each."""
+    """Columns in the joint vector of a hypothesis's parameters, or of the parameters in ``of``."""
     joint = comparison.parameters.parameters
     return tuple(
         next(i for i, q in enumerate(joint) if q.kind != "scatter" and q.own == p.name)

@@ -1,4 +1,4 @@
-"""From plates to a diagnosis: what the simulation gets wrong, the cause, the extended model, the gain."""
+"""Diagnosis of plates: what the simulation gets wrong, the cause, the extended model and its gain."""
 
 from __future__ import annotations
 
@@ -67,29 +67,28 @@ from cpam_bayes.identification.point import reliances
 from cpam_bayes.inference.assessment import cut_notices
 from cpam_bayes.running import cut_short, is_time_up, single_blas_thread
 
-# A cause of which the constants leave less than this fraction to be seen is called hidden.
+# A cause whose visible fraction is below this is called hidden.
 _HIDDEN = 0.3
 # Variants of the claimed causes that carry less than this fraction of the claim are not averaged over.
 _LEAST_FRACTION = 1e-3
-# Claimed hypotheses, and draws of each, at which the bases are checked by full solves.
+# Claimed hypotheses, draws of each, and draws with a free place, at which full solves check the bases.
 _CHECKED_MEMBERS, _CHECKED_DRAWS, _CHECKED_PLACES = 3, 8, 4
 
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """One cause as the data see it, its variants summed.
+    """Result for one cause, summed over its variants.
 
-    plates : names of those that have it in its most probable variant, all where it is common to them
+    plates : names of the plates that have it in its most probable variant, all where it is common to them
     log_bayes_factor : against none, the variants averaged over their priors
     log_evidence_error, k_hat : of the most probable variant, ``nan`` where it was not sampled
-    parameters : name -> mean, sd and SI unit in that variant; of the magnitude where either sign is as
-        probable
-    indistinguishable_from : by their signatures
+    parameters : name -> mean, sd and SI unit in that variant; of the magnitude where the sign is open
+    indistinguishable_from : causes that the frequencies cannot distinguish from it
     max_shift : largest relative shift of a frequency at one standard deviation
-    absorbed : by the constants
+    absorbed : whether the constants absorb it
     visible : fraction of its signature that the constants do not imitate
     bias : name -> relative change of a constant that imitates it
-    leftover : what nothing explains beside it, relative, averaged over its variants
+    leftover : relative size of the unexplained discrepancy beside it, averaged over its variants
     hypothesis : the most probable variant, with its effects and how their parameters are shown
     """
 
@@ -111,27 +110,27 @@ class Cause:
 
     @property
     def is_set(self) -> bool:
-        """Whether it is several at once."""
+        """Whether it is a set of several causes."""
         return len(causes_in(self.name)) > 1
 
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """The answer about one or several plates.
+    """Diagnosis of one or several plates.
 
-    cases : incomplete lists paired as is most probable under the plain model
-    causes : all, none and other among them, the most probable first
-    members : tested variants of the claimed causes with the fractions at which they are averaged
+    cases : the plates, incomplete lists with their most probable pairing under the plain model
+    causes : all causes, none and other included, the most probable first
+    members : tested variants of the claimed causes with their weights in the average
     extended, gain : ``None`` where nothing is claimed
     signatures : by cause, of its best variant
-    averaged : the answer, constants averaged over all hypotheses: mean, sd, 2.5 % and 97.5 % quantile, SI
+    averaged : the answer: constants averaged over all hypotheses, mean, sd, 2.5 % and 97.5 % quantile, SI
     sensitivity : of probabilities and claim to the scales of the priors
-    detectable : by cause, the smallest size that the lists would have shown; empty if not asked for
-    explained, plain_explained : whether noise as stated explains what the model of the answer, or the plain
-        one, leaves of the lists; of constants averaged over all hypotheses, what the most probable one leaves
+    detectable : smallest detectable size of each cause; empty if not asked for
+    explained, plain_explained : whether stated noise explains the residuals of the answer's model (for
+        constants averaged over all hypotheses, of the most probable one), and of the plain model
     reliances : intervals of the answer that rest on the bounds or the prior of another constant
-    basis_error : largest relative error of a frequency by the reduced bases, from full solves at posterior
-        draws of what is claimed, or of the plain model; ``None`` where what is claimed has no such basis
+    basis_error : largest relative frequency error of the reduced bases, from full solves at posterior draws
+        of the claimed hypotheses or of the plain model; ``None`` where these have no such basis
     """
 
     cases: tuple[PlateCase, ...]
@@ -172,7 +171,7 @@ class Diagnosis:
 
     @property
     def hidden_causes(self) -> tuple[Cause, ...]:
-        """Single causes of which the constants leave little to be seen, the best hidden first."""
+        """Single causes with little visible signature, the best hidden first."""
         hidden = [c for c in self.causes if c.visible < _HIDDEN and c.parameters and not c.is_set]
         return tuple(sorted(hidden, key=lambda cause: cause.visible))
 
@@ -183,24 +182,24 @@ class Diagnosis:
 
     @property
     def several(self) -> Cause:
-        """The most probable set that holds all that is claimed."""
+        """The most probable set that contains all claimed causes."""
         return next(c for c in self.causes if set(self.claim.causes) <= set(causes_in(c.name)))
 
     @property
     def claimed(self) -> frozenset[str]:
-        """Names among ``causes`` that the claim stands on, pairs with a claimed cause too."""
+        """Names in ``causes`` on which the claim rests, pairs with a claimed cause included."""
         if self.claim.kind in (NONE, OTHER):
             return frozenset({self.claim.kind})
         return frozenset(t.hypothesis.cause for t, _ in self.members)
 
     @property
     def leftover(self) -> tuple[float, float]:
-        """Probability that nothing explains a part of the misfit beside the claim, and its relative size."""
+        """Probability of an unexplained discrepancy beside the claim, and its relative size."""
         return leftover_of(self.members)
 
     @property
     def beside(self) -> Mapping[str, float]:
-        """Causes that may act beside what is claimed, with their inclusion probabilities."""
+        """Causes that may act beside the claimed ones, with their inclusion probabilities."""
         return beside(self.claim, self.inclusion)
 
 
@@ -218,14 +217,14 @@ def diagnose_cases(
     progress: Callable[[int, int], None] = lambda done, total: None,
     so_far: Callable[[Mapping[str, float]], None] = lambda shares: None,
 ) -> Diagnosis:
-    """Diagnose plates of one material, or one, from their frequency lists.
+    """Diagnose one plate, or several of one material, from their frequency lists.
 
-    hypotheses : with the plates that each is about, none first; all that the plates may have if ``None``
+    hypotheses : each with the plates it concerns, none first; all that the plates may have if ``None``
     scatter : relative standard deviation of a constant from plate to plate
     gain : whether to leave out each frequency in turn
-    power : whether to say what sizes the lists would have shown
+    power : whether to compute detection limits
     executor : where hypotheses are fitted, ``None`` for this process; the answer is the same
-    so_far : is told the shares of the causes while hypotheses are fitted
+    so_far : called with the current shares of the causes while hypotheses are fitted
     """
     start = time.perf_counter()
     if hypotheses is None:
@@ -284,10 +283,9 @@ def diagnose_cases(
 
 
 def basis_error_of(tested: Sequence[Tested], cases: Sequence[PlateCase]) -> float | None:
-    """Largest relative error of a frequency by the reduced bases, of full solves at draws of hypotheses.
+    """Largest relative frequency error of the reduced bases, from full solves at posterior draws.
 
-    With an effect at any place the plate is made anew at each draw: a few are enough. None where no basis is
-    reduced.
+    An effect at a free place needs a new plate at each draw, so few are used. None where no basis is reduced.
     """
     found: list[float | None] = []
     for t in tested:
@@ -372,7 +370,7 @@ def _causes(
 
 
 def _parameters(t: Tested, facts: Sequence[PlateFacts]) -> dict[str, tuple[float, float, str]]:
-    """Mean, standard deviation and unit of each; of a place that of the image nearest to the optimum."""
+    """Mean, standard deviation and unit of each parameter, a place at its image nearest to the optimum."""
     sizes = {}
     weights = np.exp(t.marginal.log_weight)
     columns = dict(zip((p.name for p in t.hypothesis.parameters), t.columns, strict=True))
@@ -402,8 +400,8 @@ def claim_from(
 ) -> Claim:
     """The claim from weighed hypotheses.
 
-    p_value : the predictive one of a hypothesis
-    misfit : what it leaves of the lists beyond noise
+    p_value : predictive p-value of a hypothesis
+    misfit : its misfit beyond noise
     """
     most = CLAIM_RULES.halved * misfit(weighed.none)
 
@@ -425,9 +423,9 @@ def claim_from(
 
 
 def _members(weighed: Weighed, claim: Claim) -> tuple[tuple[Tested, float], ...]:
-    """The tested variants of what is claimed, with their fractions; of other all, with their probabilities.
+    """Tested variants of the claimed causes with their fractions; all hypotheses where other is claimed.
 
-    Other is claimed where nothing explains the lists, whichever hypothesis comes nearest.
+    Other is claimed where no hypothesis explains the lists, whichever comes nearest.
     """
     if claim.kind in ("none", "undecided"):
         return ()
@@ -444,11 +442,11 @@ def _members(weighed: Weighed, claim: Claim) -> tuple[tuple[Tested, float], ...]
     return tuple((t, t.probability / total) for t in kept)
 
 
-# A predictive p-value this far out says that noise alone does not explain the residuals.
+# Predictive p-value below which noise alone does not explain the residuals.
 _P_LOW = 0.02
-# Fraction of the cases in which the claimed cause must stay ahead without one frequency.
+# Fraction of the leave-one-out folds in which the claimed cause must stay ahead.
 _STABLE = 0.8
-# Importance sampling whose standard error of a log evidence is above this is warned of, nats.
+# Standard error of a log evidence, nats, above which importance sampling is warned of.
 _ROUGH = 0.3
 
 
@@ -484,7 +482,7 @@ def _notices(d: Diagnosis) -> Iterator[Notice]:
 
 
 def _of_optima(d: Diagnosis) -> Notice:
-    """Several optima, and the measured mode shapes that would decide between the first two."""
+    """Notice of several optima and of the measured mode shapes that would decide between the first two."""
     first, second = d.optima[:2]
     apart = {
         n: second.constants[n] / v - 1.0 for n, v in first.constants.items() if v and n in second.constants

@@ -1,4 +1,4 @@
-"""The mode that each measured frequency is under a fitted model, and the modes that the lists lack."""
+"""The mode of each measured frequency under a fitted model, and the modes that the lists lack."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from cpam_bayes.mechanics.problem import Array
 
 @dataclass(frozen=True, slots=True)
 class FrequencyRow:
-    """One measured frequency, what a fit predicts for it, and the mode it belongs to.
+    """One measured frequency, its prediction by a fit, and its mode.
 
-    predicted, predicted_sd, sigma : Hz; predicted is ``None`` for a frequency that is no mode. number :
-    of the mode in ascending order, from 1. standardised : predicted - measured over the standard
-    deviations of noise and prediction together.
+    predicted, predicted_sd, sigma : Hz; predicted is ``None`` for a false peak. number : of the mode in
+    ascending order, from 1. standardised : predicted - measured over the standard deviations of noise and
+    prediction together.
     """
 
     plate: str
@@ -48,14 +48,14 @@ class MissedMode:
 
 @dataclass(frozen=True, slots=True)
 class PairedFit:
-    """A fit with the mode of every frequency, and the modes that the measured frequencies lack."""
+    """The mode of every frequency under a fit, and the modes that the lists lack."""
 
     frequencies: tuple[FrequencyRow, ...]
     missed: tuple[MissedMode, ...]
 
 
 def paired_fit(d: Diagnosis, fit: Fit, leader: Tested) -> PairedFit:
-    """All frequencies plate by plate; leader : the hypothesis that says which mode each is."""
+    """Paired fit of all frequencies, plate by plate; leader : the hypothesis whose pairing is used."""
     modes = [case.models.bare.full.modes(_plate_vector(leader, i)) for i, case in enumerate(d.cases)]
     return PairedFit(_frequency_rows(d, fit, leader, modes), _missed_modes(d, leader, modes))
 
@@ -70,7 +70,7 @@ def plain_mode_shapes(d: Diagnosis) -> tuple[Array, ...]:
 def _frequency_rows(
     d: Diagnosis, fit: Fit, leader: Tested, modes_of: Sequence[Sequence[Mode]]
 ) -> tuple[FrequencyRow, ...]:
-    """All frequencies plate by plate; leader : the hypothesis that says which mode each is."""
+    """Rows of all frequencies, plate by plate; leader : the hypothesis whose pairing is used."""
     rows: list[FrequencyRow] = []
     start = 0
     standardised = fit.standardised
@@ -100,12 +100,12 @@ def _frequency_rows(
 
 
 def left_aside(case: PlateCase) -> list[float]:
-    """Frequencies of an incomplete list that its pairing gives no mode."""
+    """Frequencies of an incomplete list that its pairing takes for false peaks."""
     return [float(f) for f in case.measurement.frequencies[case.modes < 0]]
 
 
 def _missed_modes(d: Diagnosis, leader: Tested, modes_of: Sequence[Sequence[Mode]]) -> tuple[MissedMode, ...]:
-    """Modes in the range of the lists that these lack under a hypothesis."""
+    """Modes in the range of the lists that are not listed under a hypothesis."""
     missed: list[MissedMode] = []
     parts = leader.marginal.comparison.model.parts
     for case, part, modes in zip(leader.cases or d.cases, parts, modes_of, strict=True):
@@ -119,6 +119,6 @@ def _missed_modes(d: Diagnosis, leader: Tested, modes_of: Sequence[Sequence[Mode
 
 
 def _plate_vector(t: Tested, i: int) -> Array:
-    """Parameters of the bare model of one plate where a hypothesis is most probable."""
+    """Bare-model parameters of the i-th plate at the optimum of a hypothesis."""
     at: Array = t.marginal.comparison.model.parts[i].plate_vector(t.marginal.best[None])[0]
     return at

@@ -1,4 +1,4 @@
-"""A fitted model, or a mixture of models, against the lists: whether it explains them, and its worth."""
+"""Fit of a model, or a mixture of models, to the lists: predictive checks, summary and gain."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ from cpam_bayes.inference.student_mixture import RELIABLE_K, effective_size, par
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter
 
-# Scores of an inferred repeatability that its prior is averaged over; its tail is wanted down to 1e-6.
+# Normal scores over which the prior of an inferred repeatability is averaged, its tail down to 1e-6.
 _SCORES = np.linspace(-5.0, 5.0, 41)
-# Nodes of the quadrature that the parameters are refitted from, and the mass that makes one worth it.
+# Most quadrature nodes from which the parameters are refitted, and the least mass of such a node.
 _MOST_STARTS, _NODE_FRACTION = 8, 1e-3
 
 
 def explains(tested: Tested) -> float:
-    """Predictive p-value of a hypothesis: whether noise alone leaves such residuals.
+    """Predictive p-value of a hypothesis: probability of a larger misfit by noise alone.
 
     With T = r^T S^-1 r of the residuals at the most probable parameters, S the covariance of noise and
     discrepancy,
 
         p = integral of P(chi2_nu >= T(a)) p(a) da,  nu = n - tr H,
 
-    over the repeatability a: the one that is stated, or the prior of one that is inferred, not its posterior,
-    which any misfit widens until it is explained (Gelman et al., Bayesian Data Analysis, 3rd ed., 6.3).
-    H = A (A^T A + I)^-1 A^T projects on what the parameters answer within their priors, A their derivatives
-    over normal scores in units of the noise. The parameters are fitted again for every a.
+    over the repeatability a: the stated value, or the prior of an inferred one, not its posterior, which any
+    misfit widens until it is explained (Gelman et al., Bayesian Data Analysis, 3rd ed., 6.3).
+    H = A (A^T A + I)^-1 A^T projects onto what the parameters can fit within their priors, A the derivatives
+    by their normal scores in units of the noise. The parameters are refitted for every a.
     """
     comparison = tested.marginal.comparison
     z = _starts(tested)
@@ -57,9 +57,9 @@ def explains(tested: Tested) -> float:
 
 
 def misfit_beyond_noise(tested: Tested) -> float:
-    """Root mean square of what a hypothesis leaves of the lists beyond noise, relative.
+    """Relative root-mean-square misfit of a hypothesis beyond noise.
 
-    A noise that is inferred counts with the median of its prior; what nothing explains is no noise.
+    An inferred noise counts with its prior median; a discrepancy is no noise.
     """
     comparison = tested.marginal.comparison
     z = tested.marginal.z[:1].copy()
@@ -72,7 +72,7 @@ def misfit_beyond_noise(tested: Tested) -> float:
 
 
 def leftover_of(members: Sequence[tuple[Tested, float]]) -> tuple[float, float]:
-    """Fraction of hypotheses in which something is left that nothing explains, and its size, relative."""
+    """Weight of the hypotheses with an unexplained discrepancy, and its mean relative size."""
     fraction = size = 0.0
     for t, weight in members:
         if (column := t.marginal.comparison.discrepancy) is not None:
@@ -82,9 +82,9 @@ def leftover_of(members: Sequence[tuple[Tested, float]]) -> tuple[float, float]:
 
 
 def within_stated_noise(tested: Tested, n_constants: int) -> bool:
-    """Whether noise as stated explains what a hypothesis leaves of the lists, by `birge_ratio`.
+    """Whether stated noise explains the residuals of a hypothesis, by `birge_ratio`.
 
-    Over the frequencies whose noise is stated; a discrepancy is no noise.
+    Only frequencies with stated noise count; a discrepancy is no noise.
     """
     marginal = tested.marginal
     listed = marginal.comparison.listed
@@ -98,9 +98,9 @@ def within_stated_noise(tested: Tested, n_constants: int) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class PredictiveChecks:
-    """Predictive p-values of hypotheses, each computed once, at the latest when it is asked for.
+    """Predictive p-values of hypotheses, each computed once.
 
-    A hypothesis that is weighed again with other priors keeps its marginal likelihood, and so its p-value.
+    A hypothesis that is reweighed with other priors keeps its marginal likelihood, and so its p-value.
     """
 
     _known: dict[int, tuple[Marginal, float]] = field(default_factory=dict)
@@ -108,15 +108,15 @@ class PredictiveChecks:
     def compute(
         self, cases: Sequence[PlateCase], tested: Sequence[Tested], executor: Executor | None
     ) -> None:
-        """The p-values of hypotheses about some plates, side by side on an executor."""
+        """Compute the p-values of hypotheses in parallel on an executor."""
         for t, p in zip(tested, shared_out(explains, cases, [(t,) for t in tested], executor), strict=True):
             self._known[id(t.marginal)] = (t.marginal, p)
 
     def p_value(self, tested: Tested) -> float:
-        """`explains` of a hypothesis."""
+        """Predictive p-value of a hypothesis, as of `explains`."""
         key = id(tested.marginal)
         if key not in self._known:
-            # held with its p-value, so that no other marginal likelihood can have the same number
+            # kept with its p-value, so that no other marginal likelihood can get the same id
             self._known[key] = (tested.marginal, explains(tested))
         return self._known[key][1]
 
@@ -129,9 +129,9 @@ def _starts(tested: Tested) -> Array:
 
 
 def _refitted(comparison: CorrelatedDensity, z: Array, amplitudes: Array) -> tuple[Array, Array]:
-    """T and tr H for starts (s, n) at amplitudes (a,) of the noise, (s, a) each.
+    """T and tr H, (s, a) each, for starts (s, n) at amplitudes (a,) of the noise.
 
-    One step of Gauss and Newton from each start; the better one of start and step counts.
+    One Gauss-Newton step from each start; the better of start and step counts.
     """
     f = comparison.listed.frequencies
     a = max(len(amplitudes), 1)
@@ -163,7 +163,7 @@ def _refitted(comparison: CorrelatedDensity, z: Array, amplitudes: Array) -> tup
     return np.minimum(before, after), np.einsum("saij,saji->sa", inverse, fisher)
 
 
-# Draws that fits are summarised from.
+# Draws from which a fit is summarised.
 _DRAWS = 1024
 
 
@@ -175,11 +175,11 @@ class Fit:
     predicted, predicted_sd, sigma : of all frequencies, plate by plate.
     rms : relative.
     p_value : posterior predictive, of the sum of squared standardised residuals.
-    predictive_p : the same against the stated repeatability, or the prior of one that is inferred.
+    predictive_p : p-value against the stated repeatability, or the prior of an inferred one.
     log_evidence : prior-weighted over the members.
     log_evidence_error, k_hat : largest of the members that were sampled, ``nan`` where none was.
-    draws : (d, n_constants) behind it, equally probable.
-    parameters : name -> the parameter that it is of.
+    draws : (d, n_constants), equally probable.
+    parameters : name -> parameter.
     """
 
     constants: Mapping[str, tuple[float, float, float, float]]
@@ -203,7 +203,7 @@ class Fit:
 
 
 def fit_of(members: Sequence[tuple[Tested, float]], whole: Array, checks: PredictiveChecks) -> Fit:
-    """The fit of a mixture of hypotheses with the same constants; whole : all listed frequencies."""
+    """Fit of a mixture of hypotheses with the same constants; whole : all listed frequencies."""
     first = members[0][0].marginal.comparison
     sampled = [t for t, _ in members if np.isfinite(t.marginal.error)]
     model_names = first.model.parameters.names
@@ -258,7 +258,7 @@ def fit_of(members: Sequence[tuple[Tested, float]], whole: Array, checks: Predic
 
 
 def inferred_noise(members: Sequence[tuple[Tested, float]]) -> tuple[float, float] | None:
-    """Mean and sd of the inferred noise over hypotheses and lists, relative; None where it was given."""
+    """Mean and sd of the inferred relative noise over hypotheses and lists; None where noise is stated."""
     mean = square = 0.0
     for t, weight in members:
         columns = [c for c in t.marginal.comparison.amplitudes if c >= 0]
@@ -272,16 +272,15 @@ def inferred_noise(members: Sequence[tuple[Tested, float]]) -> tuple[float, floa
 
 @dataclass(frozen=True, slots=True)
 class FoldSettings:
-    """The selection that is repeated without each frequency.
+    """Settings of the leave-one-out folds.
 
-    least_probability, most : hypotheses among which the cause is selected again: those with this probability,
-        the plain model, and so many at most
-    least_fraction, most_plain : pairings of the plain model with this fraction of its evidence, and so many
-        at most
-    small_error, own_errors, largest_error : error of a log evidence that the draws with all frequencies may
-        have without one of them: this or so many times their own, up to a bound
-    heavier_tail : how much heavier than theirs the tail of the weights may be, or than what is reliable
-    starts : optima of the whole list that the fits of every fold start from
+    least_probability, most : least probability, and number with the plain model, of the hypotheses among
+        which the cause is selected again
+    least_fraction, most_plain : least fraction of the plain model's evidence, and number, of its pairings
+    small_error, own_errors, largest_error : accepted error of a log evidence reweighted from the draws with
+        all frequencies: the first, or so many times their own error up to the last
+    heavier_tail : accepted excess of the weights' Pareto shape over that of the draws, if not reliable anyway
+    starts : optima of the whole list from which the fits of every fold start
     """
 
     least_probability: float = 0.01
@@ -300,14 +299,13 @@ _FOLDS: Final = FoldSettings()
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """The gain of the claimed cause over the plain model.
+    """Gain of the claimed cause over the plain model.
 
     log_bayes_factor : of the claimed causes, their variants averaged over their priors
-    held_out : (n_f,) log predictive density of each frequency from all others, of the hypotheses near the
-        top, whose probabilities are those without that frequency, less that of the plain model
-    n_hypotheses : among which the cause is selected in every fold
-    stable : fraction of the frequencies without which the claimed causes still are ahead of none and of the
-        best outsider
+    held_out : (n_f,) log predictive density of each frequency given all others, averaged over the leading
+        hypotheses with their probabilities without that frequency, minus that of the plain model
+    n_hypotheses : number of hypotheses among which every fold selects
+    stable : fraction of the folds in which the claimed causes stay ahead of none and of the best outsider
     """
 
     rms_before: float
@@ -319,7 +317,7 @@ class Gain:
 
     @property
     def held_out_difference(self) -> float:
-        """Sum of the differences."""
+        """Sum of ``held_out``."""
         return float(self.held_out.sum())
 
     @property
@@ -339,10 +337,10 @@ def gain_of(
     scatter: float,
     executor: Executor | None = None,
 ) -> Gain:
-    """The gain of the claimed causes, ``members`` with their fractions, over the plain model.
+    """Gain of the claimed causes, ``members`` with their fractions, over the plain model.
 
     The held-out score of frequency i is ln p(f_i | f_-i) = ln Z(f) - ln Z(f_-i) with Z = sum_h p(h) Z_h over
-    the hypotheses near the top: the cause is selected anew, by its probability, in every fold.
+    the leading hypotheses: every fold selects the cause anew, by its probability.
     """
     n = len(baseline.measured)
     extending = {t.hypothesis.cause for t, _ in members} - {NONE} or {OTHER}
@@ -371,16 +369,16 @@ def gain_of(
 
 
 def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | None, scatter: float) -> Array:
-    """Log evidences of a hypothesis without each of the frequencies in turn, (n,).
+    """Log evidences (n,) of a hypothesis with each frequency left out in turn.
 
-    Without a frequency that it takes as misread, what is left of the list is free of that error, over
-    whose size the density of the frequency integrates to one. A false peak has a density of its own, apart
-    from the modes: without it the other frequencies keep theirs.
+    Without a frequency that it takes for misread the rest of the list is free of that error, over whose size
+    the density of the frequency integrates to one. The density of a false peak is independent of the modes:
+    without it the other frequencies keep theirs.
     """
     cases = t.cases or cases
     evidences = np.empty(n)
     listed = t.hypothesis.listed
-    # the posterior without a frequency is about that with it
+    # the posterior without a frequency is close to that with it
     about = about_draws(t.marginal)
     near, reweighted = about.model, _reweighted(t.marginal, about)
     paired = np.concatenate([case.modes >= 0 for case in cases])
@@ -421,7 +419,7 @@ def left_out(cases: Sequence[PlateCase], t: Tested, n: int, none: Marginal | Non
 
 
 def _reweighted(marginal: Marginal, about: CorrelatedDensity) -> Array:
-    """Log evidences without each of the frequencies from the draws with all, (n_f,).
+    """Leave-one-out log evidences (n_f,), reweighted from the draws with all frequencies.
 
     ln Z_-i = ln Z + ln E[1 / p(f_i | f_-i, x)] over the posterior of x (Gelfand, Dey and Chang, Bayesian
     Statistics 4, 1992). Not a number where the weights' tail is too heavy (Vehtari, Gelman and Gabry, Stat.
@@ -442,7 +440,7 @@ def _reweighted(marginal: Marginal, about: CorrelatedDensity) -> Array:
 
 
 def _near_the_top(weighed: Weighed, claimed: set[str]) -> list[Tested]:
-    """None, and the most probable others: at least one that is claimed and one that is not."""
+    """The plain model and the most probable others, at least one claimed and one not claimed."""
     plain = [t for t, fraction in weighed.plain if t is weighed.none or fraction >= _FOLDS.least_fraction]
     others = [t for t in weighed.tested if t.hypothesis.cause != NONE]
     kept = [t for t in others if t.probability >= _FOLDS.least_probability][: _FOLDS.most - 1]
@@ -453,12 +451,12 @@ def _near_the_top(weighed: Weighed, claimed: set[str]) -> list[Tested]:
 
 
 def _sampled(t: Tested) -> Tested:
-    """A hypothesis with the evidence of the whole list by the same means as without a frequency."""
+    """A hypothesis with its evidence of the whole list sampled, as in the folds."""
     return t if t.marginal.is_sampled else replace(t, marginal=sampled_marginal(t.marginal))
 
 
 def _without_misreading(hypothesis: Hypothesis, number: int) -> Hypothesis:
-    """One misread frequency less; the parameter of a second one goes first."""
+    """The hypothesis with one misread frequency less; the parameter of a second one is dropped first."""
     listed = hypothesis.listed
     gone = MISREADINGS[len(listed.misread) - 1].name
     return replace(

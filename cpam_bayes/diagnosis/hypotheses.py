@@ -15,21 +15,21 @@ from cpam_bayes.effects.effect import GROSS_FRACTION, PERCENT, one_sided
 from cpam_bayes.parameters import Parameter
 
 NONE, OTHER, SET = "none", "other", "set"
-# Between the names of causes that act at once.
+# Separator between the names of causes that act together.
 _TOGETHER = " + "
 
-# Prior probabilities: that nothing is wrong, that something is which no cause describes, that so many causes
-# act at once; the rest is divided evenly over the families, and in a family over its causes. Whatever causes
-# act, something is left over beside them that none describes as probably as beside none.
+# Prior probabilities: nothing is wrong, an error that no cause describes, so many causes at once; the rest is
+# divided evenly over the families, and in a family over its causes. Beside any causes an unexplained
+# discrepancy is as probable as beside none.
 P_NONE, P_OTHER = 0.50, 0.05
 P_SETS: Final[Mapping[int, float]] = {2: 0.055, 3: 0.015}
 P_SINGLE = 1.0 - P_NONE - P_OTHER - sum(P_SETS.values())
 _LEFTOVER = P_OTHER / (P_NONE + P_OTHER)
 _NO_ERROR = ListChange()
-# Scatter of all modes that nothing explains.
+# Unexplained relative scatter of all modes.
 DISCREPANCY = one_sided("discrepancy", "", 0.01, end=0.5, shown=PERCENT)
-# Over which ratio of frequencies, as a logarithm, it is much the same: white, or an error of the model that
-# changes slowly from mode to mode (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001).
+# Its correlation lengths over ln f: white, or an error of the model that changes slowly from mode to mode
+# (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001).
 CORRELATION_LENGTHS = {"white": 0.0, "smooth, over 0.25 in ln f": 0.25, "smooth, over 0.8 in ln f": 0.8}
 
 
@@ -41,11 +41,11 @@ class Hypothesis:
     family : causes of one family divide a prior probability
     effects : on the plate or on its frequencies, with their parameters
     listed : error in the frequency list
-    parameters : of all of these
+    parameters : of all effects and of the list error
     prior : probability of this variant
-    unmodelled : effects that have no model: on the list, or on what is known of the constants
-    correlation_length : of what nothing explains, over ln f, 0 where it is white; None where there is none
-    parts : the causes of a set, one by one; none of a single cause
+    unmodelled : effects without a model: on the list, or on the knowledge of the constants
+    correlation_length : of the unexplained discrepancy over ln f, 0 where it is white; None without one
+    parts : single causes of a set; empty for a single cause
     """
 
     cause: str
@@ -61,12 +61,12 @@ class Hypothesis:
 
     @property
     def instances(self) -> tuple[Hypothesis, ...]:
-        """The causes that act, one by one; none and other by themselves."""
+        """Hypotheses of the single causes of a set; otherwise the hypothesis itself."""
         return self.parts or (self,)
 
     @property
     def records(self) -> tuple[Effect, ...]:
-        """The effects that act: one, several of a set, none."""
+        """All effects, with or without a model."""
         return self.effects + self.unmodelled
 
     @property
@@ -76,27 +76,27 @@ class Hypothesis:
 
     @property
     def may_repeat(self) -> bool:
-        """Whether there may be two of it: masses and flaws at two places, two misread frequencies."""
+        """Whether it may act twice: masses or flaws at two places, two misread frequencies."""
         return len(self.records) == 1 and (bool(self.listed.misread) or self.records[0].is_anywhere)
 
     @property
     def has_leftover(self) -> bool:
-        """Whether causes act beside which something is left that nothing explains."""
+        """Whether it has causes and an unexplained discrepancy beside them."""
         return self.correlation_length is not None and self.cause != OTHER
 
     @property
     def coordinates(self) -> frozenset[str]:
-        """Names of the parameters that say where its effects are or which way they go."""
+        """Names of the parameters for the place or direction of its effects."""
         return frozenset(p.name for e in self.effects for p in e.coordinates)
 
     @property
     def smooth(self) -> frozenset[str]:
-        """Names of the parameters that Laplace's method integrates well wherever they are left open."""
+        """Names of the parameters that Laplace's method integrates well even where they are left open."""
         return frozenset(name for e in self.effects for name in e.smooth)
 
     @property
     def other_material(self) -> bool:
-        """Whether only the search bounds are known of the constants."""
+        """Whether it is another material: only the search bounds of the constants are known."""
         return any(e.drops_references for e in self.unmodelled)
 
     @property
@@ -112,14 +112,14 @@ class Hypothesis:
 
 
 def causes_in(name: str) -> tuple[str, ...]:
-    """The causes that act where one of this name does: several of a set."""
+    """Names of the single causes in the name of a cause or set."""
     return tuple(name.split(_TOGETHER))
 
 
 def single_hypotheses(
     facts: PlateFacts, n_listed: int, *, complete: bool, catalogue: tuple[Effect, ...] = CATALOGUE
 ) -> tuple[Hypothesis, ...]:
-    """None, other and every single cause that a plate with a list of so many frequencies may have."""
+    """None, other and every single cause possible for a plate with ``n_listed`` frequencies."""
     hypotheses = [Hypothesis(NONE, NONE, prior=P_NONE)]
     hypotheses += [
         Hypothesis(
@@ -154,7 +154,7 @@ def single_hypotheses(
 
 
 def with_leftover(hypothesis: Hypothesis) -> tuple[Hypothesis, tuple[Hypothesis, ...]]:
-    """Causes that leave nothing over, and the same with each form of what nothing explains beside them."""
+    """The hypothesis without a discrepancy, and its variants with each form of a discrepancy."""
     beside = tuple(
         replace(
             hypothesis,
@@ -170,7 +170,7 @@ def with_leftover(hypothesis: Hypothesis) -> tuple[Hypothesis, tuple[Hypothesis,
 def with_prior_of_none(
     hypotheses: Sequence[tuple[Hypothesis, tuple[int, ...]]], prior: float
 ) -> list[tuple[Hypothesis, tuple[int, ...]]]:
-    """The same hypotheses with another probability of none, all others in their proportions.
+    """Hypotheses with another prior of none, all others rescaled in proportion.
 
     Raises ``ValueError`` for a probability that is not above 0 and below 1.
     """
@@ -191,7 +191,7 @@ def prior_by_cause(hypotheses: Sequence[Hypothesis]) -> dict[str, float]:
 
 
 def set_scales(singles: Sequence[Hypothesis]) -> dict[int, float]:
-    """By number of causes, prior of a set over the product of the priors of its causes.
+    """Prior of a set over the product of the priors of its causes, by number of causes.
 
     P(k) / e_k, e_k the sum of these products over all sets of k causes.
     """
@@ -205,7 +205,7 @@ def set_scales(singles: Sequence[Hypothesis]) -> dict[int, float]:
 
 
 def repeated(hypothesis: Hypothesis) -> Hypothesis:
-    """A second effect of the same cause."""
+    """Hypothesis of a second effect of the same cause."""
     (effect,) = hypothesis.records
     second = effect.again()
     of_plate, unmodelled = ((second,), ()) if hypothesis.effects else ((), (second,))
@@ -214,7 +214,7 @@ def repeated(hypothesis: Hypothesis) -> Hypothesis:
 
 
 def together(causes: Sequence[Hypothesis], scales: Mapping[int, float]) -> Hypothesis:
-    """Causes that act at once, the same in any order, with the prior of ``set_scales``."""
+    """Set of causes that act together, in any order, with the prior of ``set_scales``."""
     parts = tuple(sorted((i for h in causes for i in h.instances), key=lambda h: (h.cause, h.variant)))
     return Hypothesis(
         cause=_TOGETHER.join(h.cause for h in parts),
@@ -230,14 +230,14 @@ def together(causes: Sequence[Hypothesis], scales: Mapping[int, float]) -> Hypot
 
 
 def _both(errors: Sequence[ListChange]) -> ListChange:
-    """Errors of one list that act at once: none, one, or misread frequencies."""
+    """Combined error of one list: none, one, or several misread frequencies."""
     if len(errors) < 2:
         return errors[0] if errors else _NO_ERROR
     return ListChange(misread=tuple(i for error in errors for i in error.misread))
 
 
 def _of_plate(effect: Effect, facts: PlateFacts) -> list[tuple[Hypothesis, float]]:
-    """Variants of an effect on a plate with their fractions: its places."""
+    """Variants of an effect on a plate, one for each place, with their fractions."""
     places = variants(effect, facts)
     return [
         (Hypothesis(e.name, e.family, e.variant, (e,), parameters=e.parameters), 1.0 / len(places))
@@ -265,9 +265,9 @@ def _of_list(effect: Effect, n: int, complete: bool) -> list[tuple[Hypothesis, f
 
 
 def go_together(*causes: Hypothesis) -> bool:
-    """Whether causes can act together: not what excludes each other, nor modes paired otherwise and misread.
+    """Whether causes can act together: none excludes another, several errors of a list are all misreadings.
 
-    A second effect of a cause acts beside the first one, and a second misread frequency is the higher one.
+    A second effect needs the first one of its cause, and a second misread frequency is the higher one.
     """
     each = [h for cause in causes for h in cause.instances]
     if len({h.cause for h in each}) < len(each) or any(h.other_material for h in each):
@@ -288,17 +288,16 @@ Kind = Literal["none", "named", "class", "pair", "other", "undecided"]
 
 @dataclass(frozen=True, slots=True)
 class ClaimRules:
-    """When something is claimed.
+    """Thresholds of a claim.
 
-    sure : least probability that a cause acts, plain : of nothing wrong
-    clear : least log Bayes factor of what is claimed over whatever is without it, so that priors alone claim
-        nothing
-    rival : fraction of the leading probability from which a cause that is not so far behind joins the claim
-    beside : inclusion probability from which a cause is told that may act beside what is claimed
+    sure, plain : least probability that a cause acts, and that nothing is wrong
+    clear : least log Bayes factor of the claim over any set without it, so that priors alone claim nothing
+    rival : fraction of the leading probability from which a cause less than `clear` behind joins the claim
+    beside : inclusion probability from which a cause is reported beside the claim
     negligible : probability below which it does not matter whether a cause explains the lists
     explained : predictive p-value above which a model explains the lists
-    halved : fraction of the plain model's misfit beyond noise that a cause with a leftover leaves at most
-    most, undecided : members of a class at most, and causes listed where nothing is decided
+    halved : largest fraction of the plain model's misfit beyond noise that a cause with a leftover may leave
+    most, undecided : most members of a class, and number of causes listed where nothing is decided
     """
 
     sure: float = 0.9
@@ -318,7 +317,7 @@ CLAIM_RULES: Final = ClaimRules()
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """The claim, the causes that it names and its probability."""
+    """A claim with the causes it names and its probability."""
 
     kind: Kind
     causes: tuple[str, ...]
@@ -333,20 +332,20 @@ def claim_of(
     is_cut_short: bool = False,
     unaccounted: float = 0.0,
 ) -> Claim:
-    """The claim.
+    """Claim from the probabilities and evidences of all sets of causes.
 
     probability : of every set of causes, by its name, none and other among them
     log_evidence : of each, its variants averaged over their priors
     explains : whether the model extended by a set explains the lists, or most of their misfit
     is_cut_short : whether hypotheses are missing: then nothing is claimed
-    unaccounted : probability of sets that were not weighed, none of which may hold what is claimed
+    unaccounted : probability of sets that were not weighed, which may all lack the claimed causes
 
     Nothing is wrong where none has half the probability. Causes that act with 0.9 each, over all sets that
-    hold them, are claimed together. Else the fewest causes are claimed of which one acts with 0.9: one is
-    named, up to six are a class. The best set with one of these is 3 nats above every set without: a cause
-    that is not so far behind joins the class, and where none or other is not, nothing is claimed. No cause is
-    claimed whose extended model leaves a misfit that is no noise: where those that explain nothing hold 0.9
-    with other, it is other. The rest is undecided (docs/model_errors.md).
+    contain them, are claimed together. Otherwise the fewest causes of which one acts with 0.9 are claimed:
+    one is named, up to six are a class. The best set with one of these is 3 nats above every set without: a
+    cause that is less far behind joins the class, and where none or other is, nothing is claimed. No cause is
+    claimed whose extended model leaves a misfit beyond noise: where such causes and other together hold 0.9,
+    other is claimed. The rest is undecided (docs/model_errors.md).
     """
     if is_cut_short:
         return _undecided(probability)
@@ -395,13 +394,13 @@ def _leading(probability: Mapping[str, float], causes: Collection[str]) -> str:
 
 
 def _undecided(probability: Mapping[str, float]) -> Claim:
-    """The most probable causes, with the probability that one of them acts."""
+    """Undecided claim: the most probable causes, and the probability that one of them acts."""
     causes = tuple(inclusion_of(probability))[: CLAIM_RULES.undecided]
     return Claim("undecided", causes, _acting(probability, causes))
 
 
 def _several(probability: Mapping[str, float], sure: float) -> Claim | None:
-    """Two or more causes that each act, with a probability of at least ``sure``, and act at once."""
+    """Claim of two or more causes that each act with at least probability ``sure``, together."""
     acts = {c for c, p in inclusion_of(probability).items() if p >= sure}
     if len(acts) < 2:
         return None
@@ -412,7 +411,7 @@ def _several(probability: Mapping[str, float], sure: float) -> Claim | None:
 
 
 def _causes(probability: Mapping[str, float], log_evidence: Mapping[str, float], sure: float) -> Claim | None:
-    """The fewest causes of which one acts, as ``sure``, with those that only priors speak against."""
+    """Claim of the fewest causes of which one acts with ``sure``, and of those only priors speak against."""
     inclusion, members = inclusion_of(probability), list[str]()
     while _acting(probability, members) < sure:
         gains = {c: _acting(probability, (*members, c)) for c in inclusion if c not in members}

@@ -39,7 +39,7 @@ from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.edges import Field
 from cpam_bayes.running import single_blas_thread
 
-# Rigid-body motions and stretching that some effect needs, kept in the space of the bare plate.
+# Rigid-body and stretching functions that some effects need, kept in the space of the bare plate.
 _CONTENT: tuple[tuple[Field, tuple[int, int]], ...] = (
     ("v", (0, 1)),
     ("u", (2, 0)),
@@ -47,22 +47,22 @@ _CONTENT: tuple[tuple[Field, tuple[int, int]], ...] = (
     ("v", (2, 0)),
     ("v", (0, 2)),
 )
-# Forms of an effect that a space is converged for: it holds what the others need.
+# Forms of an effect at which a space is converged: it holds what the other forms need.
 _FARTHEST_FORMS = 6
-# Relative errors that a rough model may have, of its space and of its reduction.
+# Accepted relative errors of a rough model: of its space and of its reduction.
 _ROUGH, _ROUGH_BASIS = Tolerance(kept=1e-3, rich=1e-3, largest_degree=14), 3e-4
-# A normal prior from the plate file is cut here, standard deviations from its mean.
+# Truncation of a normal prior from the plate file, standard deviations from its mean.
 _CUT = 4.0
 
 
 @dataclass(frozen=True, slots=True)
 class ConvergedPlate:
-    """A plate with its constants' priors, converged, and ready to be extended.
+    """A converged plate with the priors of its constants, ready to be extended.
 
     parameters : constants, and sizes with a standard deviation
     problem : the bare plate
     settings, keep : its converged space
-    error : (n_modes,) of that space, relative
+    error : (n_modes,) relative error of that space
     """
 
     specimen: Specimen
@@ -84,7 +84,7 @@ class PlateModels(ConvergedPlate):
     tolerances : name of a size, the density or mass, or the frequency scale that is no parameter ->
         (n_modes,) relative changes of the frequencies by one standard deviation of it
     bare : its reduced model
-    key : all that it depends on, as a text
+    key : text of all inputs that it depends on
     """
 
     theory_error: Array
@@ -94,9 +94,9 @@ class PlateModels(ConvergedPlate):
 
 
 def diagnosis_parameters(specimen: Specimen, *, other_material: bool = False) -> ParameterSet:
-    """The unknown constants with the prior of all verbs, cut at four standard deviations, and the sizes.
+    """Unknown constants with the prior that all commands use, cut at four standard deviations, and the sizes.
 
-    Where the material is another one, the constants keep the prior of [unknowns], without former posteriors.
+    For another material the constants keep the prior of [unknowns], without former posteriors.
     """
     unknowns = _of_other_material(specimen) if other_material else constant_parameters(specimen, _CUT)
     return unknowns.union(size_parameters(specimen))
@@ -120,7 +120,7 @@ def plate_models(
     other_material: bool = False,
     is_rough: bool = False,
 ) -> PlateModels:
-    """Converge a plate over its priors and reduce it to what its list asks for.
+    """Converge a plate over its priors and reduce it to the modes that its list needs.
 
     other_material : over the search bounds of its constants, without the matrices of the full space
     is_rough : converged at the reference constants alone, and to a thousandth
@@ -182,7 +182,7 @@ def _facts(specimen: Specimen, parameters: ParameterSet, model: ForwardModel) ->
 
 @single_blas_thread
 def plate_under_test(specimen: Specimen, n_modes: int) -> tuple[ConvergedPlate, PlateModel]:
-    """A plate under a test that may follow, with its full model, converged at its reference constants."""
+    """A plate under a possible further test and its full model, converged at the reference constants."""
     parameters, problem, samples = _bare(specimen, other_material=False)
     samples = Samples(samples.x[:1], samples.allowance[:1])
     full = converged_plate(problem, samples, n_modes)
@@ -193,7 +193,7 @@ def plate_under_test(specimen: Specimen, n_modes: int) -> tuple[ConvergedPlate, 
 
 
 def extended_on_space(plate: ConvergedPlate, effect: Effect) -> PlateModel:
-    """The full model of a plate with an effect, in its space, untrimmed where that lacks functions."""
+    """Full model of a plate with an effect in the plate's space, untrimmed where that lacks functions."""
     problem, samples = extended_problem(plate, effect)
     keep = plate.keep
     if needs_another_space(problem, effect, plate):
@@ -233,7 +233,7 @@ def extended_model(
         return without_matrices(_reduced(full, plate.bare.tolerance))
 
     priors = [[p.name, repr(p.prior)] for p in effect.parameters]
-    # effects of scripts may have one name and do different things
+    # effects defined in scripts may share a name and differ
     key = [plate.key, effect.name, effect.variant, effect.place, repr(effect.change), priors]
     return remembered(json.dumps(key), make)
 
@@ -262,7 +262,7 @@ def _form_model(plate: PlateModels, effect: Effect, notify: Callable[[str], None
 
 
 def extended_problem(plate: ConvergedPlate, effect: Effect) -> tuple[Problem, Array]:
-    """A plate with an effect, and parameter vectors (2, n) without and with it."""
+    """Problem of a plate with an effect, and parameter vectors (2, n) without and with it."""
     values = [effect.null, effect.scaled(1.0)]
     added = np.array([[v[p.name] for p in effect.parameters] for v in values])
     samples = np.column_stack((np.repeat(plate.samples.x[:1], 2, axis=0), added))
@@ -279,9 +279,9 @@ def local_model(plate: PlateModels, effect: Effect) -> LocalModel:
 
 
 def solved_there(plate: ConvergedPlate, effect: Effect, model: LocalModel, x: Array) -> Array:
-    """Frequencies (m, n_modes) of a plate with an effect at any place, in full at each vector x (m, n).
+    """Frequencies (m, n_modes) by full solves of a plate with an effect at a free place, at vectors x (m, n).
 
-    model : of all places, in whose full space they are solved
+    model : the model for all places, whose full space is used
     x : parameters of the plate, then those of the effect
     """
     assert model.bare.basis is not None
@@ -298,7 +298,7 @@ def solved_there(plate: ConvergedPlate, effect: Effect, model: LocalModel, x: Ar
 def converged_plate(
     problem: Problem, samples: Samples, n_modes: int, tolerance: Tolerance | None = None
 ) -> PlateModel:
-    """The full model of a problem on a space that is converged at samples, as of ``converge``."""
+    """Full model of a problem on a space that ``converge`` has converged at samples."""
     x = problem.parameters.mapping(samples.x)
     converged = converge(problem, x, n_modes, tolerance, samples.allowance)
     return PlateModel(converged.operator, n_modes, converged.error, (converged.settings, converged.keep))

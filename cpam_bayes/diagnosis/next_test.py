@@ -1,4 +1,4 @@
-"""Further tests of a laboratory, ranked by the information of their data about the cause."""
+"""Further tests in the laboratory, ranked by the information of their data about the cause."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from cpam_bayes.plate import Sensor
 from cpam_bayes.plate.edges import ALL_FREE, CANTILEVER, conditions
 from cpam_bayes.running import single_blas_thread
 
-# Further modes; a known mass over the plate's, and its distance from a corner over the sides.
+# Number of further modes; a known mass over the plate's, and its distance from a corner over the sides.
 MORE_MODES = 4
 _MASS_SHARE, _CORNER = 0.02, 0.05
 # Relative standard deviations of weighing and of measuring the thickness at many points.
 WEIGHED, GAUGED = 1e-3, 3e-3
-# Draws that the model of a test is solved at, at least, and for each term of the response that carries it to
-# the other draws, as far as so many standard deviations beyond these.
+# Least number of draws at which a test is solved, draws per term of the response surface that extends it to
+# the other draws, and how far beyond the solved ones it is used, standard deviations.
 _SOLVED, _PER_TERM, _BEYOND = 96, 2.5, 1.0
-# Weight of the draws beyond those at which the modes of a plate with an effect are taken, on either side.
+# Tail weight, on either side, beyond the draws at which the modes of a plate with an effect are taken.
 _TAIL = 0.02
 
 
@@ -44,8 +44,8 @@ class Predicted:
     """Data of a test under one hypothesis.
 
     y : (d, n) at its draws, frequencies in Hz. missing : (n, n) relative covariance that y lacks. noise :
-    (n,) relative standard deviations of data that are no frequencies, or ``None``. as_now : whether what
-    nothing explains in the present list is in these data too.
+    (n,) relative standard deviations of data that are no frequencies, or ``None``. as_now : whether the
+    unexplained discrepancy of the present list is in these data too.
     """
 
     y: Array
@@ -59,7 +59,7 @@ Predict = Callable[[Tested], Predicted]
 
 @dataclass(frozen=True, slots=True)
 class FurtherTest:
-    """A test; ``prepare`` makes its models and gives what predicts its data."""
+    """A possible test; ``prepare`` builds its models and returns the predictor of its data."""
 
     name: str
     description: str
@@ -69,7 +69,7 @@ class FurtherTest:
 def further_tests(
     cases: Sequence[PlateCase], about: int, last_mode: int, scatter: float
 ) -> list[FurtherTest]:
-    """The tests of one of the plates; last_mode : number of the last mode that any hypothesis has listed."""
+    """Possible tests of one plate; last_mode : number of the highest mode that any hypothesis lists."""
     case = cases[about]
     present = case.models.specimen
     plate, n = present.plate, case.measurement.size
@@ -110,7 +110,7 @@ def further_tests(
         tests.append(FurtherTest(name, text, loaded))
     text = f"a sister plate of the same material, {n} modes"
     tests.append(FurtherTest("sister_plate", text, lambda: lambda t: _sister(t, about, case, scatter)))
-    # not what the file knows as well already
+    # only what the file does not state as precisely already
     weighs, gauges = not plate.is_weighed_to(WEIGHED), not plate.is_gauged_to(GAUGED)
     steps = [f"weighing the plate to {100 * WEIGHED:g} %"] if weighs else []
     steps += [f"gauging its thickness to {100 * GAUGED:g} %"] if gauges else []
@@ -124,7 +124,7 @@ def further_tests(
 
 
 def places(edges: str) -> list[tuple[str, str, tuple[float, float]]]:
-    """Where a known mass can be put: a corner between two free edges, and the centre."""
+    """Places for a known mass: a corner between two free edges, and the centre."""
     held = conditions(edges)
     corners = [
         (x, y)
@@ -137,7 +137,7 @@ def places(edges: str) -> list[tuple[str, str, tuple[float, float]]]:
 
 
 def _next_modes(t: Tested, about: int) -> Array:
-    """The modes after the last one that a hypothesis has listed."""
+    """Modes after the last one that is listed under a hypothesis."""
     return int(t.marginal.comparison.model.parts[about].modes.max()) + 1 + np.arange(MORE_MODES)
 
 
@@ -145,7 +145,7 @@ def _next_modes(t: Tested, about: int) -> Array:
 class _Drawn:
     """Draws of a hypothesis for one plate: vectors (d, n) of constants and sizes, then of its effects.
 
-    n_plate : number of the former
+    n_plate : number of constants and sizes
     effects : of this plate, with the columns of their parameters
     """
 
@@ -183,7 +183,7 @@ def _under_test(
     modes: Array,
     masses: tuple[Sensor, ...] = (),
 ) -> Predicted:
-    """Frequencies of the plate with its effect under a test; an effect that it cannot have then is gone.
+    """Frequencies of the plate with its effects under a test; an effect that is impossible there is dropped.
 
     full : the plate without the known masses that the test adds
     """
@@ -212,7 +212,7 @@ def _with_effect(
     weight: Array,
     masses: tuple[Sensor, ...],
 ) -> ForwardModel:
-    """The plate under a test with an effect: on its own modes, or on those of the bare one for any place."""
+    """Model of the plate with an effect under a test, on its own modes or the bare one's (free place)."""
     if effect.is_anywhere:
         return changed_on_modes(bare, effect)
     v = drawn.v[:, [*range(drawn.n_plate), *columns]]
@@ -226,10 +226,10 @@ def _with_effect(
 
 
 def _response(model: ComposedModel, drawn: _Drawn, weight: Array) -> Predicted:
-    """Frequencies at all draws, from those at some where there are many.
+    """Frequencies at all draws, by a response surface from some of them where there are many.
 
-    The relative scatter of the latter about the response is missing then. Log frequencies are taken as
-    quadratic in each of the logarithms of constants and sizes and of the effects' parameters.
+    The relative scatter of the solved draws about the surface is ``missing``. Log frequencies are quadratic
+    in each logarithm of a constant or size and in each parameter of an effect.
     """
     v, weight = drawn.v.copy(), weight / weight.sum()
     v[:, : drawn.n_plate] = np.log(v[:, : drawn.n_plate])
@@ -258,9 +258,9 @@ def _response(model: ComposedModel, drawn: _Drawn, weight: Array) -> Predicted:
 
 
 def _sister(t: Tested, about: int, case: PlateCase, scatter: float) -> Predicted:
-    """Frequencies of another plate: its constants scatter about these, and its sizes vary within theirs.
+    """Frequencies of a sister plate: its constants scatter about these, its sizes within their tolerances.
 
-    What that adds to the covariance is carried to the frequencies by their derivatives at the mean.
+    The added covariance is propagated to the frequencies by their derivatives at the mean.
     """
     drawn = _drawn(t, about)
     parameters, unknowns = case.models.parameters.parameters, case.models.specimen.unknowns
@@ -288,14 +288,14 @@ def _sister(t: Tested, about: int, case: PlateCase, scatter: float) -> Predicted
 def _weighing(
     t: Tested, about: int, case: PlateCase, *, weighs: bool = True, gauges: bool = True
 ) -> Predicted:
-    """Mass, kg, and thickness, m, of the plate, or one of them; what a clamp holds is not weighed."""
+    """Mass, kg, and thickness, m, of the plate, or one of them; the clamped part is not weighed."""
     drawn = _drawn(t, about)
     problem, facts = case.models.problem, case.models.facts
     names = list(case.models.parameters.names)
     for effect, _ in drawn.effects:
         names += [p.name for p in effect.parameters]
         if effect.change is not None and effect.belongs_to != "test":
-            # where it is does not matter to a balance
+            # a balance does not see the place
             anywhere = {p.name: np.asarray(p.prior.mean) for p in effect.coordinates}
             problem = extend(problem, effect.fixed(anywhere), facts)
     values = dict(zip(names, drawn.v.T, strict=True))
@@ -307,8 +307,7 @@ def _weighing(
     return Predicted(y, np.zeros((len(noise), len(noise))), noise, as_now=False)
 
 
-# Causes that tests are to tell apart: until they have so much probability, so many at most, in so many
-# variants at most.
+# Causes to be distinguished: until they hold this probability, at most so many, in at most so many variants.
 _ENOUGH, _MOST_CAUSES, _MOST_VARIANTS = 0.99, 6, 10
 # Simulated data, log2, of each hypothesis; probability from which a cause counts as identified.
 _LOG2_DATA, _IDENTIFIED = 10, 0.9
@@ -316,11 +315,11 @@ _LOG2_DATA, _IDENTIFIED = 10, 0.9
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A further test.
+    """A further test and its expected information.
 
-    information : expected of its data about the cause, nats (mutual information)
-    possible : the most that data can say, the entropy of the cause, nats
-    decided : probability that the right cause is above 0.9 afterwards
+    information : mutual information of its data and the cause, nats
+    possible : upper bound of the information: the entropy of the cause, nats
+    decided : probability that the true cause has a posterior above 0.9 afterwards
     """
 
     name: str
@@ -332,7 +331,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Outlook:
-    """Data of a test as k hypotheses predict them, each a Gaussian.
+    """Data of a test as predicted by k hypotheses, each a Gaussian.
 
     probability : (k,)
     cause : (k,) number of the cause that a hypothesis is a variant of
@@ -355,15 +354,15 @@ def next_measurements(
     executor: Executor | None = None,
     notify: Callable[[str], None] = lambda text: None,
 ) -> tuple[Candidate, ...]:
-    """Tests of the plate that the leading cause is about, the most informative first.
+    """Tests of the plate that the leading cause concerns, the most informative first.
 
     Another edge condition, four more modes, a known mass at a corner and at the centre, a sister plate of
     the same material, weighing and gauging where the file does not state as much. Every hypothesis predicts
-    the data from its own posterior, with the noise of the list or, where it was inferred, what the
-    hypothesis says of it.
+    the data from its own posterior, with the stated noise of the list or its own posterior of an inferred
+    one.
 
     always : also where nothing is wrong or the cause is named
-    executor : where that is done
+    executor : where the tests are evaluated
     """
     if _is_settled(diagnosis) and not always:
         return ()
@@ -389,14 +388,14 @@ def next_measurements(
 
 
 def _is_settled(diagnosis: Diagnosis) -> bool:
-    """Whether no causes are left to tell apart: none, or one, and nothing open beside it."""
+    """Whether no causes are left to distinguish: none is claimed, or one with nothing open beside it."""
     claim = diagnosis.claim
     return claim.kind == NONE or (claim.kind == "named" and not diagnosis.beside)
 
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """The basis for predicting further tests, as in `further_tests` and `outlook_of`."""
+    """Arguments that all tests share, as in `further_tests` and `outlook_of`."""
 
     cases: Sequence[PlateCase]
     about: int
@@ -406,7 +405,7 @@ class _Asked:
 
 
 def _candidate(asked: _Asked, number: int) -> Candidate | None:
-    """The information of the test of some number, ``None`` where it cannot be predicted."""
+    """Candidate for the numbered test, ``None`` where its data cannot be predicted."""
     test = further_tests(asked.cases, asked.about, asked.last_mode, asked.scatter)[number]
     try:
         outlook = outlook_of(asked.leading, asked.cases[asked.about], test.prepare())
@@ -416,10 +415,10 @@ def _candidate(asked: _Asked, number: int) -> Candidate | None:
 
 
 def leading_hypotheses(weighed: Weighed) -> tuple[Tested, ...]:
-    """The best variants of the most probable causes, which carry the whole probability of these.
+    """Best variants of the most probable causes, which carry the whole probability of these.
 
-    Causes are taken until they hold 99 %, six at most, with ten variants in all at most. A set that is less
-    probable than the one of its causes that acts most probably counts for that one.
+    Causes are taken until they hold 99 %, at most six, with at most ten variants in all. A set counts for its
+    most probable cause where it is less probable than that.
     """
     weighed = replace(weighed, tested=tuple(_counted(weighed)))
     causes: dict[str, float] = {}
@@ -443,7 +442,7 @@ def leading_hypotheses(weighed: Weighed) -> tuple[Tested, ...]:
 
 
 def _counted(weighed: Weighed) -> Iterator[Tested]:
-    """Hypotheses under the name of the cause or set that they count for."""
+    """Hypotheses, each renamed to the cause or set it counts for."""
     probability = weighed.by_cause()
     inclusion = inclusion_of(probability)
     for t in weighed.tested:
@@ -453,10 +452,10 @@ def _counted(weighed: Weighed) -> Iterator[Tested]:
 
 
 def information(outlook: Outlook, log2_data: int = _LOG2_DATA) -> tuple[float, float, float]:
-    """Mutual information of cause and data, the entropy of the cause, and how probably it is identified.
+    """Mutual information of cause and data, entropy of the cause, and probability that it is identified.
 
-    I = H(C) - E H(C | y), by data y drawn from every hypothesis, from one scrambled Sobol sequence. The cause
-    is identified where the one that is true has a probability above 0.9.
+    I = H(C) - E H(C | y), with data y drawn under every hypothesis by one scrambled Sobol sequence. The cause
+    is identified where the true one has a posterior above 0.9.
     """
     n_data = outlook.mean.shape[1]
     p = outlook.probability / outlook.probability.sum()
@@ -483,7 +482,7 @@ def _entropies(p: Array) -> Array:
 
 
 def outlook_of(leading: Sequence[Tested], case: PlateCase, predict: Predict) -> Outlook:
-    """The data of a test under each hypothesis, as relative deviations from what the first one predicts."""
+    """Data of a test under each hypothesis, as relative deviations from the first one's prediction."""
     means, covariances = [], []
     unit: Array | None = None
     for t in leading:
@@ -520,7 +519,7 @@ def _noise(t: Tested, case: PlateCase, f: Array, as_now: bool) -> Array:
     elif measurement.relative_std is not None:
         variance = measurement.relative_std**2
     else:
-        # of all lists, where there are several: a further test is like any of them
+        # averaged over several lists: a further test is like any of them
         inferred = [c for c in comparison.amplitudes if c >= 0]
         variance = float(np.mean(weight @ t.marginal.draws[:, inferred] ** 2))
     if comparison.discrepancy is not None and as_now:

@@ -1,7 +1,7 @@
-"""Places that no frequency tells apart: of a plate that is its own image, and of two masses each other's.
+"""Places that no frequency distinguishes: images under a symmetry of the plate, and two masses exchanged.
 
-A draw of the posterior is told by the image of it that lies nearest to the optimum: a mean over images would
-be a place where nothing is.
+A posterior draw is replaced by its image nearest to the optimum: a mean over images would be a place where
+nothing is.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ _SQUARE = 2e-3
 
 
 def images(facts: Sequence[PlateFacts]) -> tuple[Motion, ...]:
-    """The motions after which a plate looks the same in each of its tests, the identity first."""
+    """Motions that map the plate onto itself in each of its tests, the identity first."""
     every = MOTIONS[:1] if any(each.loaded for each in facts) else MOTIONS
     return tuple(motion for motion in every if all(_is_kept(each, motion) for each in facts))
 
 
 def _is_kept(facts: PlateFacts, motion: Motion) -> bool:
-    """Whether a plate looks the same after a motion: its sides, its edges, the angles of its plies."""
+    """Whether a motion preserves a plate: its sides, its edges, the angles of its plies."""
     if motion.kind in EXCHANGES and abs(facts.length / facts.width - 1.0) > _SQUARE:
         return False
     angles = np.asarray(facts.layup.angles_deg, float)
@@ -38,12 +38,12 @@ def _is_kept(facts: PlateFacts, motion: Motion) -> bool:
 
 
 def _moved(places: Array, motion: Motion) -> Array:
-    """Where places (..., 2), 0 to 1, go."""
+    """Images under a motion of places (..., 2), 0 to 1."""
     return np.stack(motion.point(places[..., 0], places[..., 1]), axis=-1)
 
 
 def images_of(place: Point, facts: Sequence[PlateFacts], apart: Point = (1e-6, 1e-6)) -> tuple[Point, ...]:
-    """A place over the sides and those that no frequency tells from it.
+    """A place over the sides and its images, which no frequency distinguishes from it.
 
     apart : places that differ by less, in x and in y, are one
     """
@@ -58,9 +58,9 @@ def images_of(place: Point, facts: Sequence[PlateFacts], apart: Point = (1e-6, 1
 def laid_on(
     draws: Array, best: Array, effects: Sequence[Effect], columns: dict[str, int], facts: Sequence[PlateFacts]
 ) -> Array:
-    """Draws (m, n) with every place at its image nearest to the optimum, and two alike in its order.
+    """Draws (m, n) with every place at its image nearest to the optimum, two equal effects in its order.
 
-    best : (n,) the optimum. effects : those of which some may be anywhere
+    best : (n,) optimum. effects : of the hypothesis, some at a free place
     columns : of their parameters, by name
     """
     laid, every = draws.copy(), images(facts)
@@ -81,7 +81,7 @@ def laid_on(
 
 
 def _nearest(places: Array, best: Array, every: Sequence[Motion]) -> tuple[Array, Array]:
-    """Of each place (m, 2) the image nearest to a point, and its distance from there squared, (m,)."""
+    """Image of each place (m, 2) nearest to a point, and its squared distance, (m,)."""
     moved = np.array([_moved(places, motion) for motion in every])
     distance = np.sum((moved - best) ** 2, axis=-1)
     at = np.argmin(distance, axis=0)

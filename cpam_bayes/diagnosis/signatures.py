@@ -17,15 +17,15 @@ from cpam_bayes.mechanics.problem import Array
 
 # Two causes are distinguished below this cosine of their visible signatures.
 ALIKE = 0.95
-# A cause of which less than this fraction of the signature is visible is absorbed by the constants.
+# A cause whose visible fraction is below this is absorbed by the constants.
 ABSORBED = 0.1
-# Causes with less than this fraction of the leading one's probability are not compared by their best fits;
-# fits are equal within so many nats of the log likelihood, and told apart by so many where one has less than
-# a fraction of the other's probability.
+# Best fits are compared for causes with at least this fraction of the leading one's probability. Fits are
+# equal within so many nats of the log likelihood, and distinguished by so many where one cause has less than
+# the last fraction of the other's probability.
 _COMPARED, AS_WELL, _TOLD_APART, _HARDLY_PROBABLE = 5e-3, 2.0, 7.0, 1e-2
-# A shift smaller than this fraction of the one that it is compared with is hardly there.
+# A shift smaller than this fraction of the one that it is compared with has no direction.
 HARDLY = 0.1
-# Points between the nodes of one size at which it is compared with the others.
+# Interpolated points of one size at which its shifts are compared with others.
 _BETWEEN = 181
 
 
@@ -34,7 +34,7 @@ class Signature:
     """Relative shifts of the frequencies by one hypothesis at fixed constants.
 
     shift : (n_f,), in units of the noise, at the size that the data suggest
-    visible : the same with what the constants imitate taken out
+    visible : the part of it that the constants cannot imitate
     visible_fraction : norm of the visible shift over that of the whole
     bias : (n,) scores by which the constants move to imitate it
     largest : largest relative shift of a frequency at one standard deviation of the catalogue
@@ -48,17 +48,18 @@ class Signature:
 
     @property
     def is_absorbed(self) -> bool:
-        """Whether the constants hide it."""
+        """Whether the constants absorb it."""
         return self.visible_fraction < ABSORBED
 
 
 @dataclass(frozen=True, slots=True)
 class Projector:
-    """Takes out of a shift what the constants and the tolerances can imitate within their priors.
+    """Removal from a shift of the part that constants and tolerances can imitate within their priors.
 
-    With A the derivatives of the frequencies over the scores and C the covariance by the tolerances, both in
-    units of the noise, the data's precision with these integrated is (I + C + A A^T)^-1. root : (n_f, n_f)
-    its square root, times a shift what is left of it. absorb : (n, n_f), the scores that imitate a shift.
+    With A the derivatives of the frequencies by the scores and C the covariance by the tolerances, both in
+    units of the noise, the precision of the data with these integrated out is (I + C + A A^T)^-1. root :
+    (n_f, n_f) its square root, which maps a shift to its visible part. absorb : (n, n_f), maps a shift to the
+    scores that imitate it.
     """
 
     root: Array
@@ -130,10 +131,10 @@ def cosine(a: Signature, b: Signature) -> float:
 def alike(
     signatures: Sequence[Signature], i: int, menus: Sequence[Sequence[Menu]] | None = None
 ) -> tuple[int, ...]:
-    """Numbers of the signatures that frequencies cannot tell from the i-th.
+    """Indices of the signatures that frequencies cannot distinguish from the i-th.
 
-    menus : of every cause, what its variants can do at other sizes than the data suggest for themselves: a
-    cause that can do the same as the i-th is not distinguished from it.
+    menus : of every cause, the shifts of its variants at other sizes than their own optimum: a cause that can
+    shift the frequencies as the i-th does is not distinguished from it.
     """
     indistinguishable = []
     for j, other in enumerate(signatures):
@@ -148,9 +149,9 @@ def alike(
 def compared_by_fits(
     best: Mapping[str, Tested], probability: Mapping[str, float], by_signature: Mapping[str, Sequence[str]]
 ) -> dict[str, Tested]:
-    """The causes whose fits are compared.
+    """Causes whose fits are compared.
 
-    Improbable ones are left out, but for those with the signature of the leading one, and another material.
+    Improbable ones are left out, except those with the signature of the leading one, and another material.
 
     best : best variant of every cause
     by_signature : by cause, those with equal visible signatures
@@ -171,11 +172,11 @@ def compared_by_fits(
 def with_equal_fits(
     by_signature: Mapping[str, Sequence[str]], peak: Mapping[str, float], probability: Mapping[str, float]
 ) -> dict[str, tuple[str, ...]]:
-    """The causes that cannot be told from each one: those with its signature, and those that fit as well.
+    """Causes indistinguishable from each one: those with its signature, and those that fit as well.
 
     A gross effect may be imitated by another that moves the constants far: the data prefer neither by more
-    than e^2. And it may be told from one with its signature, which fits worse by more than e^7 at any size
-    and is less probable by a factor of 0.01.
+    than e^2. It is distinguished from one with its signature that fits worse by more than e^7 at any size and
+    is less probable by a factor of 0.01.
 
     by_signature : by cause, those with equal visible signatures
     peak : largest log likelihood of the causes whose fits are compared
@@ -194,7 +195,7 @@ def with_equal_fits(
 class Menu:
     """Possible shifts of the frequencies by one variant of a cause.
 
-    visible : (k, n_f) what is left of its shifts at k sizes, in units of the noise
+    visible : (k, n_f) visible part of its shifts at k sizes, in units of the noise
     visible_fraction : (k,) their norms over those of the whole shifts
     """
 
@@ -202,7 +203,7 @@ class Menu:
     visible_fraction: Array
 
     def cosine(self, target: Array) -> float:
-        """Cosine, without sign, of a visible shift (n_f,) and the nearest of these; 0 if that is absorbed."""
+        """Absolute cosine of a visible shift (n_f,) with the nearest of these; 0 if that is absorbed."""
         i = nearest_of(self.visible, target)
         size = float(np.linalg.norm(self.visible[i]) * np.linalg.norm(target))
         if size == 0.0 or self.visible_fraction[i] < ABSORBED:
@@ -211,9 +212,9 @@ class Menu:
 
 
 def nearest_of(visible: Array, target: Array) -> int:
-    """Index of the visible shift, of some (k, n_f), that is nearest to one (n_f,).
+    """Index of the visible shift, among (k, n_f), that is nearest to one (n_f,).
 
-    Those that are hardly there are passed over: they have no direction.
+    Negligible shifts are passed over: they have no direction.
     """
     norm = np.linalg.norm(visible, axis=1)
     there = norm >= HARDLY * np.linalg.norm(target)
@@ -224,7 +225,7 @@ def nearest_of(visible: Array, target: Array) -> int:
 
 
 def menu_of(tested: Tested, none: Marginal, projector: Projector) -> Menu | None:
-    """All that one tested hypothesis can do at the constants of the plain model, if its shifts are known."""
+    """Menu of a tested hypothesis at the constants of the plain model, ``None`` if its shifts are unknown."""
     if tested.shift is None:
         return None
     sigma = np.sqrt(none.comparison.variance(none.best[None])[0])
@@ -236,7 +237,7 @@ def menu_of(tested: Tested, none: Marginal, projector: Projector) -> Menu | None
 
 
 def _fine(table: ShiftTable) -> Array:
-    """Shifts between the nodes of one size, and at the nodes of several or of none."""
+    """Shifts interpolated between the nodes of one size, or at the nodes of several sizes or of none."""
     if table.scores.shape[1] != 1:
         return table.shift
     score = table.scores[:, 0]
@@ -245,10 +246,10 @@ def _fine(table: ShiftTable) -> Array:
 
 
 def _aligned(comparison: CorrelatedDensity, x: Array, none: Marginal) -> Array:
-    """Predictions at parameters (m, n) for every frequency of the whole list, (m, n_f).
+    """Predictions (m, n_f) for every frequency of the whole list at parameters (m, n).
 
-    A hypothesis about the list shifts what belongs to which mode: its null is the plain pairing. A false
-    peak is predicted as measured.
+    A hypothesis about the list changes the pairing: its null is the plain pairing. A false peak is predicted
+    as measured.
     """
     f, _ = comparison.predict(x)
     plain, _ = none.comparison.predict(none.best[None])

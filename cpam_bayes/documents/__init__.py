@@ -1,6 +1,6 @@
 """The JSON documents of the commands: their keys, units and types, as JSON schemas.
 
-Each document is declared once, as a `TypedDict`, of which its schema is made.
+Each document is declared once, as a `TypedDict`, from which its schema is made.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ DOCUMENTS: Final[Mapping[str, Any]] = {
     "sensitivity": Sensitivity,
     "sequence": Sequence,
 }
-"""Command -> the type of its document."""
+"""Command -> type of its document."""
 
 _CLOSED: Final = ConfigDict(extra="forbid", strict=True)
 
 
 class _Schemas(GenerateJsonSchema):
-    """Closed objects without titles of keys, the same by every version of pydantic."""
+    """Closed objects without titles of keys, equal for all versions of pydantic."""
 
     def field_title_should_be_set(self, schema: Any) -> bool:
         return False
@@ -90,7 +90,7 @@ def json_schema(command: str) -> dict[str, Any]:
 
 
 def validated(command: str, document: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The document itself, where it has the keys and types of its command's schema.
+    """The document itself, if it has the keys and types of its command's schema.
 
     Raises
     ------

@@ -47,7 +47,7 @@ Laminate: TypeAlias = Annotated[dict[str, Value], Field(description="D, N m; mod
 
 
 class Optimum(TypedDict):
-    """Constants that the noise does not tell from the best ones."""
+    """An optimum that the noise cannot distinguish from the best one."""
 
     constants: InConstants
     objective: Annotated[Number, Field(description="what the swarm minimises")]
@@ -56,7 +56,7 @@ class Optimum(TypedDict):
 
 
 class PointIdentify(ModelAnswer, ByShape):
-    """Constants by the particle swarm."""
+    """Point estimates of the constants by the particle swarm."""
 
     command: Literal["identify"]
     backend: Literal["pso"]
@@ -81,7 +81,7 @@ class PointIdentify(ModelAnswer, ByShape):
 
 
 class PlateOfSeveral(TypedDict):
-    """A list of several, and how the shared constants fit it."""
+    """One list of several, and the fit of the shared constants to it."""
 
     plate: str
     specimen: str
@@ -105,14 +105,14 @@ class FrequencyOfSeveral(FrequencyRow):
 
 
 class OptimumOfSeveral(TypedDict):
-    """An optimum of the density of all lists."""
+    """An optimum of the joint density of all lists."""
 
     constants: InConstants
     log_density: Nats
 
 
 class JointIdentify(TimedAnswer):
-    """Constants that several lists share."""
+    """Constants shared by several lists."""
 
     command: Literal["identify"]
     backend: Literal["pso"]
@@ -156,7 +156,7 @@ class Noise(Quantiles):
 
 
 class LeftOut(TypedDict):
-    """A frequency as the others predict it."""
+    """Leave-one-out prediction of a frequency."""
 
     residual_percent: Percent
     sd_percent: Percent
@@ -164,14 +164,14 @@ class LeftOut(TypedDict):
 
 
 class SampledFrequency(FrequencyRow):
-    """A measured frequency beside its posterior prediction."""
+    """A measured frequency and its posterior prediction."""
 
     predicted_sd_hz: Hertz
     left_out: LeftOut | None
 
 
 class ImportanceLeftOut(TypedDict):
-    """Scores of frequencies left out, by importance sampling."""
+    """Leave-one-out scores by importance sampling."""
 
     reliable: bool
     k_hat: Annotated[list[Number], Field(description="by frequency; above 0.7 not reliable")]
@@ -180,7 +180,7 @@ class ImportanceLeftOut(TypedDict):
 
 
 class LeaveOneOut(TypedDict):
-    """The log score of frequencies left out."""
+    """The leave-one-out log score."""
 
     log_score: Nats
     basis: Literal["draws", "optimum"]
@@ -188,7 +188,7 @@ class LeaveOneOut(TypedDict):
 
 
 class Evidence(TypedDict):
-    """How well the log evidence is known."""
+    """Accuracy of the log evidence."""
 
     standard_error: Nats
     effective_size: Annotated[Number, Field(description="draws")]
@@ -221,14 +221,14 @@ class Profile(TypedDict):
 
 
 class Identifiability(TypedDict):
-    """What the frequencies determine."""
+    """Which combinations of constants the frequencies determine."""
 
     combinations: Annotated[list[Combination], Field(description="the best determined first")]
     profiles: dict[str, Profile]
 
 
 class PowerScaling(TypedDict):
-    """Sensitivity of a constant to powers of priors and likelihood; 0.05 counts."""
+    """Sensitivity of a constant to powers of priors and likelihood; notable from 0.05."""
 
     prior: Number
     noise_prior: Number
@@ -237,7 +237,7 @@ class PowerScaling(TypedDict):
 
 
 class MovedBound(TypedDict):
-    """What a search bound that is moved inwards changes."""
+    """Effect of moving a search bound inwards."""
 
     constant: str
     bound: Literal["lower", "upper"]
@@ -246,7 +246,7 @@ class MovedBound(TypedDict):
 
 
 class Convergence(TypedDict):
-    """The chains; the worst over the constants."""
+    """Convergence of the chains, for the worst parameter."""
 
     r_hat: Number
     ess_bulk: Annotated[Number, Field(description="effective draws")]
@@ -256,7 +256,7 @@ class Convergence(TypedDict):
 
 
 class Diagnostics(Convergence):
-    """The chains and their time."""
+    """Convergence of the chains, and their time."""
 
     burn_in: int
     seconds_sampling: Seconds
@@ -322,13 +322,13 @@ class Mixture(TypedDict):
 
 
 class MissedFrequency(TypedDict):
-    """A mode in the range that the list lacks."""
+    """A mode within the range of the list that the list lacks."""
 
     predicted_hz: Hertz
 
 
 class PrintedSequence(Layup):
-    """The layup that the paper prints."""
+    """The layup printed in the paper."""
 
     rank: Annotated[int | None, Field(description="from 1, null where it is not listed")]
 
@@ -374,7 +374,7 @@ class Sequence(PlateAnswer):
 
 
 class Report(PlateAnswer):
-    """Constants, stacking sequences and diagnosis, each as its own command gives them."""
+    """Constants, stacking sequences and diagnosis, each as from its own command."""
 
     command: Literal["report"]
     quick: bool

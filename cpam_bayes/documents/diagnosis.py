@@ -39,7 +39,7 @@ class Plate(TypedDict):
 
 
 class Claimed(TypedDict):
-    """What is claimed."""
+    """A claim with its causes and probability."""
 
     claim: Kind
     causes: Annotated[Texts, Field(description="names claimed")]
@@ -47,14 +47,14 @@ class Claimed(TypedDict):
 
 
 class Claims(TypedDict):
-    """What would be claimed with other scales of the priors."""
+    """Claims under rescaled priors."""
 
     scales_times_3: Claimed
     scales_divided_by_3: Claimed
 
 
 class Range(TypedDict):
-    """A probability with other scales of the priors."""
+    """A probability under rescaled priors."""
 
     scales_times_3: Probability
     scales_divided_by_3: Probability
@@ -74,7 +74,7 @@ class Size(Spread):
 
 
 class Weighed(TypedDict):
-    """A set of causes that was weighed."""
+    """A weighed set of causes."""
 
     cause: Annotated[str, Field(description='"a + b" for two')]
     probability: Probability
@@ -98,7 +98,7 @@ class Weighed(TypedDict):
 
 
 class DiagnosedFrequency(FrequencyRow):
-    """A measured frequency beside the fit."""
+    """A measured frequency and its fit."""
 
     plate: str
     predicted_sd_hz: Hertz
@@ -107,7 +107,7 @@ class DiagnosedFrequency(FrequencyRow):
 
 
 class MissedOfPlate(MissedMode):
-    """A mode in the range that the list of a plate lacks."""
+    """A mode within the range of a plate's list that the list lacks."""
 
     plate: str
 
@@ -157,7 +157,7 @@ class Extended(Fit):
 
 
 class DiagnosedOptimum(TypedDict):
-    """Constants with the modes that they pair."""
+    """An optimum: constants, and the modes paired there."""
 
     probability: Probability
     constants: InConstants
@@ -165,7 +165,7 @@ class DiagnosedOptimum(TypedDict):
 
 
 class Gain(TypedDict):
-    """What the extended model explains better."""
+    """Gain of the extended model over the plain one."""
 
     rms_percent_before: Percent
     rms_percent_after: Percent
@@ -187,7 +187,7 @@ class Detectable(TypedDict):
 
 
 class Tested(TypedDict):
-    """What was weighed."""
+    """The hypotheses that were weighed."""
 
     hypotheses: int
     causes: Texts
@@ -204,7 +204,7 @@ class NextTest(TypedDict):
 
 
 class Absorbed(TypedDict):
-    """A cause that the constants take up, and what it does to them."""
+    """A cause that the constants absorb, and the bias it causes."""
 
     cause: str
     visible_share: Number
@@ -216,14 +216,14 @@ class Absorbed(TypedDict):
 
 
 class Density(TypedDict):
-    """The density of a size."""
+    """Prior density of a size."""
 
     kind: str
     scale: Annotated[Number, Field(description="in `unit`")]
 
 
 class Gross(Density):
-    """The density of a gross error."""
+    """Prior density of a gross error."""
 
     fraction: Annotated[Number, Field(description="its probability, 0 to 1")]
 
@@ -249,7 +249,7 @@ class Priors(TypedDict):
 
 
 class Diagnose(TimedAnswer, Claimed):
-    """What the simulation gets wrong, and the constants that allow for it."""
+    """Probabilities of errors of the plate, the list or the model, and the constants that allow for them."""
 
     command: Literal["diagnose"]
     plate: NotRequired[Annotated[str, Field(description="where there is one")]]

@@ -1,4 +1,4 @@
-"""The documents of plates and modes: built in, written, computed, recorded, predicted, designed."""
+"""Documents of plates and modes: built-in, written, computed, recorded, predicted, designed."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class App(Head):
 
 
 class ForwardMode(ComputedMode):
-    """A mode with the measured frequency that belongs to it."""
+    """A mode and its measured frequency, if any."""
 
     in_plane_share: Annotated[Number, Field(description="of the kinetic energy, 0 to 1")]
     relative_error_estimate: Annotated[Number, Field(description="of the frequency, a fraction")]
@@ -89,14 +89,14 @@ class ForwardMode(ComputedMode):
 
 
 class Reference(TypedDict):
-    """A constant that the frequencies were computed with."""
+    """A constant used in the computation."""
 
     value: Annotated[Number, Field(description="in the unit of its name")]
     source: Annotated[str, Field(description="where it comes from")]
 
 
 class Forward(ModelAnswer, ByShape):
-    """Natural frequencies from the reference constants."""
+    """Natural frequencies at the reference constants."""
 
     command: Literal["forward"]
     solver: Annotated[str, Field(description="in words")]
@@ -148,7 +148,7 @@ class Pole(TypedDict):
 
 
 class OtherPole(TypedDict):
-    """A pole that is no mode."""
+    """A pole that is not a mode."""
 
     hz: Hertz
     height: Number
@@ -157,7 +157,7 @@ class OtherPole(TypedDict):
 
 
 class Poles(Answer):
-    """Natural frequencies and damping from responses."""
+    """Natural frequencies and damping from frequency responses."""
 
     command: Literal["poles"]
     files: Texts
@@ -171,7 +171,7 @@ class Poles(Answer):
 
 
 class PredictedMode(Mode, Interval):
-    """A frequency with its interval."""
+    """A predicted frequency with its interval."""
 
     mean_hz: Hertz
     sd_hz: Hertz
@@ -182,7 +182,7 @@ class PredictedMode(Mode, Interval):
 
 
 class StoredPosterior(TypedDict):
-    """The posterior that the frequencies are predicted from."""
+    """The posterior behind the prediction."""
 
     source: str
     plate: str
@@ -243,7 +243,7 @@ class Design(PlateAnswer):
 
 
 class Coin(TypedDict):
-    """A further list, and the mass that it shows."""
+    """A further list and the mass found in it."""
 
     list: Annotated[str, Field(description="name of its file")]
     finding: Finding
@@ -264,7 +264,7 @@ class Coin(TypedDict):
 
 
 class Shift(TypedDict):
-    """A frequency of a further list beside what the seal predicts."""
+    """A frequency of a further list, and its prediction with the sealed mass."""
 
     list: str
     mode: Annotated[int, Field(description="number, from 1")]
@@ -276,7 +276,7 @@ class Shift(TypedDict):
 
 
 class Prove(PlateHead, Answer):
-    """The coin test: what was stuck to the plate, and where."""
+    """The coin test: mass and place of what was stuck to the plate."""
 
     command: Literal["prove"]
     hash: Annotated[str | None, Field(description="SHA-256 of the sealed file")]

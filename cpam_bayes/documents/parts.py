@@ -1,6 +1,6 @@
-"""Parts that the documents of several commands share, each declared once.
+"""Parts shared by the documents of several commands, each declared once.
 
-The annotations are those of the JSON text: an enum stands for its value.
+Annotations describe the JSON text: an enum stands for its value.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from typing import Annotated, Literal, NotRequired, TypeAlias
 
 from pydantic import Field
 
-# of pydantic's own dependencies: it takes no TypedDict of Python 3.11
+# a dependency of pydantic, which rejects the TypedDict of Python 3.11
 from typing_extensions import TypedDict
 
 from cpam_bayes.answer import Verdict
@@ -17,7 +17,7 @@ from cpam_bayes.mechanics.modes import Kind
 from cpam_bayes.questions.identify.slips import SlipKind
 
 Number: TypeAlias = float | None
-"""Null where it is not known or not finite."""
+"""Null where unknown or not finite."""
 Hertz: TypeAlias = Annotated[Number, Field(description="Hz")]
 Percent: TypeAlias = Annotated[Number, Field(description="%")]
 Millimetres: TypeAlias = Annotated[Number, Field(description="mm")]
@@ -35,7 +35,7 @@ Seconds: TypeAlias = Annotated[float, Field(description="wall clock, s, which no
 Texts: TypeAlias = list[str]
 Pair: TypeAlias = Annotated[list[float], Field(min_length=2, max_length=2)]
 Places: TypeAlias = list[Pair]
-"""Of x and y."""
+"""Pairs of x and y."""
 InConstants: TypeAlias = Annotated[
     dict[str, Number], Field(description="by constant, named as in [unknowns], in the unit of its name")
 ]
@@ -72,7 +72,7 @@ class Moments(Spread, Interval):
 
 
 class WithBounds(TypedDict):
-    """What a constant is compared with, in the unit of its name."""
+    """Search bounds, verdict and reference of a constant, in the unit of its name."""
 
     lower: SearchBound
     upper: SearchBound
@@ -88,11 +88,11 @@ class ValueSpread(Value):
 
 
 class Estimate(ValueSpread, Interval, WithBounds):
-    """A constant as the swarm estimates it, in the unit of its name."""
+    """A point estimate of a constant by the swarm, in the unit of its name."""
 
 
 class LogEvidence(TypedDict):
-    """A log evidence and how well it is known."""
+    """A log evidence and its accuracy."""
 
     log_evidence: Nats
     log_evidence_error: StandardError
@@ -100,7 +100,7 @@ class LogEvidence(TypedDict):
 
 
 class SequenceFrequency(TypedDict):
-    """A measured frequency beside the mode that it is paired with."""
+    """A measured frequency and the mode it is paired with."""
 
     measured_hz: Hertz
     predicted_hz: Annotated[Number, Field(description="Hz, null without a mode")]
@@ -108,7 +108,7 @@ class SequenceFrequency(TypedDict):
 
 
 class FrequencyRow(SequenceFrequency):
-    """A measured frequency beside the mode that it is paired with, by name."""
+    """A measured frequency and the label of the mode it is paired with."""
 
     label: Annotated[str | None, Field(description="of the mode")]
     kind: ModeKind | None
@@ -128,13 +128,13 @@ class ComputedMode(Mode):
 
 
 class MissedMode(Mode):
-    """A mode in the range that the list lacks."""
+    """A mode within the range of the list that the list lacks."""
 
     predicted_hz: Hertz
 
 
 class Shape(TypedDict):
-    """A measured shape with the mode that it is taken for."""
+    """A measured shape and the mode it is paired with."""
 
     measured_hz: Hertz
     mode: Annotated[int | None, Field(description="number of the mode, from 1; null for none")]
@@ -143,7 +143,7 @@ class Shape(TypedDict):
 
 
 class Slip(TypedDict):
-    """A slip of the plate file without which the list fits."""
+    """A slip of the plate file that explains the misfit of its list."""
 
     slip: SlipKind
     number: Annotated[int, Field(description="of the mode or frequency, from 1; 0 for the plate")]
@@ -153,7 +153,7 @@ class Slip(TypedDict):
 
 
 class Peak(TypedDict):
-    """A candidate of recorded hits."""
+    """A candidate peak of recorded hits."""
 
     hz: Hertz
     mode_probability: Annotated[Number, Field(description="of being a mode, by its height alone")]
@@ -193,32 +193,32 @@ class Damping(TypedDict):
 
 
 class Head(TypedDict):
-    """The keys that every document begins with."""
+    """Keys at the head of every document."""
 
     version: Annotated[str, Field(description="of cpam_bayes")]
     fingerprint: Annotated[str, Field(description="hash of the sources that the answer depends on")]
 
 
 class Seeded(Head):
-    """The keys of what a seed repeats."""
+    """Keys of a document that a seed reproduces."""
 
     seed: Annotated[int, Field(description="repeats the answer bit for bit")]
 
 
 class Answer(Seeded):
-    """The keys of an answer that is computed."""
+    """Keys of a computed answer."""
 
     warnings: Annotated[Texts, Field(description="every reason not to trust the numbers")]
 
 
 class TimedAnswer(Answer):
-    """An answer that takes its time."""
+    """An answer with its computing time."""
 
     seconds: Seconds
 
 
 class Certificate(TypedDict):
-    """Who tested the plate and when, as far as the plate file says."""
+    """Who tested the plate and when, as stated in the plate file."""
 
     laboratory: NotRequired[str]
     operator: NotRequired[str]
@@ -226,7 +226,7 @@ class Certificate(TypedDict):
 
 
 class PlateHead(Seeded, Certificate):
-    """The keys that a document about one plate begins with."""
+    """Keys at the head of a document about one plate."""
 
     plate: Annotated[str, Field(description="its name")]
     specimen: Annotated[str, Field(description="equal for tests of one plate")]
@@ -241,14 +241,14 @@ class PlateAnswer(PlateHead, TimedAnswer):
 
 
 class ModelAnswer(PlateAnswer):
-    """An answer from a plate model that was converged."""
+    """An answer from a converged plate model."""
 
     relative_error_estimate: WorstError
     air_density_kg_m3: AirDensity
 
 
 class ByShape(TypedDict):
-    """What measured shapes say of the modes, where there are any."""
+    """Pairing by measured shapes, if there are any."""
 
     modal_assurance: NotRequired[Annotated[list[list[Number]], Field(description="measured x computed")]]
     shapes: NotRequired[list[Shape]]

@@ -1,4 +1,4 @@
-"""The documents of many plates and many lists: compared, charted, calibrated, repeated, printed."""
+"""Documents of many plates and many lists: comparison, batch, calibration, noise study, the paper."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from cpam_bayes.questions.paper.rows import Verdict as PaperVerdict
 
 
 class ConstantDifference(TypedDict):
-    """A constant of the second plate against that of the first."""
+    """A constant of the second plate relative to that of the first."""
 
     percent: Percent
     sd_percent: Percent
@@ -50,7 +50,7 @@ class ConstantDifference(TypedDict):
 
 
 class Compare(Answer):
-    """Whether two plates differ."""
+    """Differences of the constants of two plates."""
 
     command: Literal["compare"]
     plates: Texts
@@ -58,7 +58,7 @@ class Compare(Answer):
 
 
 class Coverage(TypedDict):
-    """How many intervals hold the truth."""
+    """Coverage of intervals of one level."""
 
     level: Annotated[float, Field(description="of the intervals, 0 to 1")]
     share: Share
@@ -66,7 +66,7 @@ class Coverage(TypedDict):
 
 
 class Calibrated(TypedDict):
-    """A constant over all simulated lists."""
+    """Coverage and ranks of a constant over all simulated lists."""
 
     coverage: list[Coverage]
     rank_counts: list[int]
@@ -74,7 +74,7 @@ class Calibrated(TypedDict):
 
 
 class Calibrate(PlateHead, Answer):
-    """How often intervals hold the true constants."""
+    """Coverage of the intervals by simulated lists."""
 
     command: Literal["calibrate"]
     lists: int
@@ -84,7 +84,7 @@ class Calibrate(PlateHead, Answer):
 
 
 class Laplace(TypedDict):
-    """The distribution that limits are judged by."""
+    """The Gaussian by which limits are judged."""
 
     centre: Number
     sd: Number
@@ -98,7 +98,7 @@ class RowConstant(ValueSpread, Interval):
 
 
 class RowClaim(TypedDict):
-    """The diagnosis of a plate in short."""
+    """The diagnosis of a plate in brief."""
 
     claim: Kind
     causes: Texts
@@ -135,7 +135,7 @@ class Chart(TypedDict):
 
 
 class PopulationConstant(TypedDict):
-    """A constant of the material."""
+    """Mean, scatter and next plate of a constant of the material."""
 
     mean: Moments
     scatter_percent: Moments
@@ -191,7 +191,7 @@ class Compared(TypedDict):
 
 
 class Reading(TypedDict):
-    """A level of noise, read in one of two ways."""
+    """A level of noise in one interpretation of eq. (12)."""
 
     noise_sd_hz: Annotated[list[Number], Field(description="by frequency, Hz")]
     reordered_share: Share
@@ -205,7 +205,7 @@ class Reading(TypedDict):
 
 
 class Readings(TypedDict):
-    """The readings that were asked for."""
+    """The requested interpretations of eq. (12)."""
 
     relative: NotRequired[Reading]
     rms: NotRequired[Reading]
@@ -237,7 +237,7 @@ class WithoutNoise(TypedDict):
 
 
 class Contradiction(TypedDict):
-    """A printed percentage that its printed values do not give."""
+    """A printed percentage that does not follow from the printed values."""
 
     constant: str
     level_percent: Percent
@@ -272,7 +272,7 @@ class Sensitivity(PlateAnswer):
 
 
 class TableCounts(TypedDict):
-    """A table, and how many of its values agree."""
+    """A table, and the number of its values by verdict."""
 
     table: int
     title: str
@@ -299,7 +299,7 @@ class PaperRow(Interval):
 
 
 class Percentage(TypedDict):
-    """A printed percentage beside that of the printed values."""
+    """A printed percentage beside the one recomputed from printed values."""
 
     table: int
     specimen: str
@@ -312,7 +312,7 @@ class Percentage(TypedDict):
 
 
 class Misfit(TypedDict):
-    """Printed constants and ours against the same frequencies."""
+    """Misfit of printed constants and of ours to the same frequencies."""
 
     table: int
     specimen: str
@@ -330,7 +330,7 @@ class Misfit(TypedDict):
 
 
 class Audit(TypedDict):
-    """What contradicts itself in the print."""
+    """Contradictions within the print, and what it can show."""
 
     misprints: Texts
     means_of_ten: str | None
@@ -361,7 +361,7 @@ class WellPosed(TypedDict):
 
 
 class SimulationError(TypedDict):
-    """The error of the paper's simulation on a plate."""
+    """The error of the paper's simulation of a plate."""
 
     table: int
     specimen: str
@@ -385,7 +385,7 @@ class SimulationError(TypedDict):
 
 
 class Cost(TypedDict):
-    """Forward solves of a plate, and their time."""
+    """Forward solves for a plate, and their time."""
 
     specimen: str
     case: str
@@ -396,7 +396,7 @@ class Cost(TypedDict):
 
 
 class Computation(TypedDict):
-    """When and by what a part was computed."""
+    """Date and version of a computation."""
 
     version: NotRequired[str]
     fingerprint: NotRequired[str]

@@ -1,4 +1,4 @@
-"""Effects that a plate model or a frequency list may lack: one record an effect, one file a family.
+"""Effects that a plate model or a frequency list may lack: one record per effect, one file per family.
 
 A new effect is one file and one line in ``CATALOGUE``; ``docs/effects.md`` shows how.
 """
@@ -90,7 +90,7 @@ CATALOGUE: tuple[Effect, ...] = (
 
 
 def applicable(facts: PlateFacts, effects: tuple[Effect, ...] = CATALOGUE) -> tuple[Effect, ...]:
-    """The effects that a plate may have."""
+    """Effects that a plate may have."""
     return tuple(effect for effect in effects if any(f.applies_to(facts) for f in effect.forms))
 
 

@@ -1,7 +1,7 @@
-"""Edges and supports that are not ideal: clamps that turn, move or slip, soft supports, foam and pads.
+"""Non-ideal edges and supports: clamps that rotate, translate or slip, soft supports, foam and pads.
 
-The fields of a held edge are set free and held by springs k = stiffness / ((c + c0) side). c0 stands for
-the rigid clamp or support; with it no frequency differs from that of the held edge by more than 1e-4.
+The fields of a held edge are freed and held by springs k = stiffness / ((c + c0) side). c0 stands for the
+rigid clamp or support: with c = 0 no frequency differs from that of the held edge by more than 1e-4.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from cpam_bayes.plate.edges import ALL_FREE, EDGES, FIELDS, Field, conditions, y
 # Compliances of the clamp that counts as rigid, in units of side / D (turning) and side^3 / D. Stiffer
 # springs would cost digits: their eigenvalues stand 1e12 above the lowest.
 _RIGID_TURN, _RIGID_SHIFT = 3e-5, 1e-7
-# Pieces of the edge with a compliance each, as fractions of it from its first end.
+# Starts of the pieces of an edge that have one compliance each, fractions of its length from its first end.
 _PIECES = (0.0, 0.01, 0.02, 0.035, 0.05, 0.07, 0.10, 0.14, 0.19, 0.24, 0.30)
-# Compliance of the loose part at a distance d side from where the grip begins: this fraction of that of a
-# strip as long, which is d side / D for rotations, d^3 side^3 / D for w and d side / A for u and v.
+# Compliance of the loose part at a distance d side from where the grip begins, as a fraction of that of a
+# strip of this length, which is d side / D for rotations, d^3 side^3 / D for w and d side / A for u and v.
 _LOOSE: dict[Field, tuple[float, int]] = {
     "u": (0.02, 1),
     "v": (0.02, 1),
@@ -31,7 +31,7 @@ _LOOSE: dict[Field, tuple[float, int]] = {
     "phi_x": (0.1, 1),
     "phi_y": (0.1, 1),
 }
-# Fields that stand on springs where an edge gives way so.
+# Fields that each kind of compliance holds by springs.
 _SPRUNG: dict[str, tuple[Field, ...]] = {
     "clamp_rotation": ("phi_x", "phi_y"),
     "clamp_translation": ("u", "v", "w"),
@@ -85,7 +85,7 @@ def _compliant(
     held_by: Callable[[PlateFacts], list[int]] = _clamped,
     unit: float = 1.0,
 ) -> Problem:
-    """The problem whose edges of one kind give way.
+    """Problem in which the held edges of one kind are compliant.
 
     unit : of the parameter, in the compliances of ``_spring``
     """
@@ -246,18 +246,18 @@ SOFT_SUPPORT = Effect(
 )
 
 
-# First frequency of the plate that the catalogue's size is given for, Hz.
+# First frequency of the plate for which the catalogue's size is given, Hz.
 _TYPICAL = 80.0
 
 
-# Width of a pad over the side, as the standard deviation of a bell: that of a block over a tenth of it.
+# Width of a pad over the side, standard deviation of a bell: that of a block over a tenth of the side.
 _PAD = 0.03
 
 
 def _support(pads: float | None, problem: Problem, facts: PlateFacts) -> Problem:
-    """K += integral of k w^2, k = (2 pi f_r)^2 rho h in the mean: evenly f^2 becomes f^2 + f_r^2.
+    """K += integral of k w^2, k = (2 pi f_r)^2 rho h on average: even foam makes f^2 + f_r^2 of f^2.
 
-    pads : how far the middles of four pads are from the edges, over the sides; None for even foam
+    pads : distance of the centres of four pads from the edges, over the sides; None for even foam
     """
     del facts
     pad = None if pads is None else Twins(Bell(pads, _PAD))
@@ -277,7 +277,7 @@ def _is_free(facts: PlateFacts) -> bool:
 
 
 def _per_first_frequency(facts: PlateFacts) -> float:
-    """A tenth of the first frequency, as modal tests ask of a suspension, and half of it at most."""
+    """Size factor for a tenth of the first frequency, as modal tests ask of a suspension, half at most."""
     return (facts.first_frequency or _TYPICAL) / _TYPICAL
 
 
@@ -299,7 +299,7 @@ _FOAM = Effect(
     even=True,
     form_error=0.16,
 )
-# Pads are laid about the nodal lines of the lowest modes.
+# Pads are placed near the nodal lines of the lowest modes.
 SUPPORT = replace(
     _FOAM,
     variant="even",

@@ -1,7 +1,6 @@
-"""The record of an effect, with all that the package asks of a cause.
+"""The record of an effect: all that the package needs to know of a cause.
 
-Those on a frequency list instead of the plate stand here too: missed modes, misread values, scale, loss
-tangent.
+Effects on a frequency list are here too: missed modes, misread values, frequency scale, loss tangent.
 """
 
 from __future__ import annotations
@@ -28,18 +27,18 @@ from cpam_bayes.plate.layup import Layup
 Owner = Literal["plate", "test", "material", "laboratory"]
 # Values of an effect's further parameters: the reference coordinates of a mass or a flaw, its extent.
 Place = tuple[float, ...]
-# What stands at a place that is a parameter: a point mass, a smooth or a sharp-edged softer patch.
+# Form of an effect at a free place: a point mass, or a softer patch with a smooth or a sharp edge.
 LocalForm = Literal["point", "bell", "rectangle"]
 
-# Prior of an effect: Student-t with this many degrees of freedom, cut where the description ends or
-# at this many scales, beyond which 0.13 % of it would lie.
+# Prior of an effect: Student-t with this many degrees of freedom, cut where the model ceases to apply or at
+# this many scales, beyond which 0.13 % of it would lie.
 DEGREES_OF_FREEDOM = 4.0
 _CUT = 8.0
 # Probability that a size is no tolerance but a gross error: a digit misread, a ply turned by 90 degrees, the
 # wrong sheet. Then it has a far wider density, up to the physical limit.
 GROSS_FRACTION = 0.1
 EVEN = np.inf
-# Names of a second effect of one cause and of its parameters.
+# Pattern of the names of a second effect of one cause and of its parameters.
 _SECOND = "{}#2"
 
 # How parameters are shown to people: the unit, and the factor from SI.
@@ -58,8 +57,8 @@ class PlateFacts:
     air_is_known : whether the model contains the air already
     has_references : whether reference values narrow the priors of the constants
     first_frequency : of the bare plate at its reference constants, Hz, if known
-    weighed : whether the mass was measured: then it stays where a size is another one
-    loss_factor : measured, the median of the modes; None without their damping
+    weighed : whether the mass was measured: it is kept where a size is another one
+    loss_factor : measured, median over the modes; None without their damping
     """
 
     length: float
@@ -87,7 +86,7 @@ class PlateFacts:
         first_frequency: float | None = None,
         loss_factor: float | None = None,
     ) -> PlateFacts:
-        """The facts of a measured plate."""
+        """Facts of a measured plate."""
         sides = (plate.length, plate.width, plate.thickness)
         mass = plate.density * plate.thickness * plate.area
         known = (loaded, air_is_known, has_references)
@@ -101,11 +100,11 @@ class PlateFacts:
 class ListChange:
     """An error in a frequency list.
 
-    A frequency that is no mode together with a missed mode is a frequency so far misread that it stands
-    in the place of another one.
+    A false peak together with a missed mode is a frequency misread so far that it stands in the place of
+    another one.
 
     missed : numbers of the model modes that the list lacks
-    spurious : number of the listed frequency that is no mode
+    spurious : number of the listed frequency that is a false peak
     misread : numbers of the listed frequencies that are 1 + one of ``MISREADINGS`` times the mode's
     """
 
@@ -115,13 +114,13 @@ class ListChange:
 
     @property
     def changes_pairing(self) -> bool:
-        """Whether frequencies belong to other modes than in a list without error."""
+        """Whether frequencies belong to other modes than in an error-free list."""
         return bool(self.missed) or self.spurious is not None
 
 
 @dataclass(frozen=True, slots=True)
 class ListVariant:
-    """One way in which a list can have an error.
+    """One possible error of a list.
 
     text : name of the variant
     fraction : of the effect's prior probability
@@ -149,14 +148,13 @@ class Effect:
     family : causes of one family divide its prior probability
     belongs_to : "plate": tests of one specimen have it in common, a sister plate need not have it; "test":
         of one list; "material", "laboratory": sister plates have it too
-    parameters : with unit, prior, null and the unit that they are shown in; the first is the size, others say
-        where it is or which way it goes
+    parameters : with unit, prior, null and display unit; the first is the size, others are place or direction
     note : how it enters the model
     check : what to check in the laboratory, one sentence
     change : Problem -> Problem with the values of the parameters in its state or terms
     observe : frequencies (..., n_modes), values (...) -> frequencies
     pairings : size of a frequency list, whether it is complete -> the possible errors
-    drops_references : whether the constants are those of something else than the reference
+    drops_references : whether the reference values do not apply to the constants
     applies_to : whether a plate may have it
     size_factor : expected size on a plate over that of the priors in ``parameters``
     sign : of the change of every frequency when the parameter grows, 0 if modes differ
@@ -167,19 +165,19 @@ class Effect:
     excludes : names of the effects that cannot act together with it
     variant : distinguishes effects of one cause, by form for instance
     place : where it is, if that is fixed
-    at : for an effect that may be anywhere, the effect at a place; its ``change`` refuses
-    local : its form, for an effect that may be anywhere and for it at a place
-    alternatives : other forms of the same cause with the same parameters, each that the plate may have as
-        probable as the others
-    on_plate : its forms where these follow from the plate, the farthest from it first, each as probable as
-        the others: without parameters, and with the terms of the bare plate, so that one basis serves all
-    directions : names of the parameters that say which way it goes
+    at : for an effect at a free place, gives the effect at a fixed place; its own ``change`` raises
+    local : its form, for an effect at a free place and for the same at a fixed one
+    alternatives : other forms of the same cause with the same parameters; those that the plate may have are
+        equally probable
+    on_plate : its equally probable forms where these follow from the plate, the farthest from it first:
+        without parameters, and with the terms of the bare plate, so that one basis serves all
+    directions : names of its direction parameters
     repeats : the effect of which it is a second one, None for the first
     edges : numbers of the edges along which it acts, or may act, which a drawing of the plate marks
-    drawn : where else it shows on a drawing, "" for what is everywhere
-    smooth : names of further parameters that, wherever they are left open, Laplace's method integrates well
-    form_error : root mean square of what its form misses of a real one's shifts of the frequencies, relative
-        to these; studies/25_form_errors.py
+    drawn : where else it shows on a drawing, "" for an effect on the whole plate
+    smooth : names of further parameters that Laplace's method integrates well even where they are left open
+    form_error : root-mean-square error of its form in the frequency shifts of a real one, relative to these;
+        studies/25_form_errors.py
     """
 
     name: str
@@ -219,28 +217,28 @@ class Effect:
 
     @property
     def null(self) -> dict[str, float]:
-        """The values that give back the plain model."""
+        """Parameter values that give back the plain model."""
         return {p.name: 0.0 if p.null is None else p.null for p in self.parameters}
 
     def scaled(self, sds: float) -> dict[str, float]:
-        """Values whose sizes lie ``sds`` catalogue standard deviations from the null."""
+        """Parameter values with sizes ``sds`` catalogue standard deviations from the null."""
         null = self.null
         return null | {p.name: null[p.name] + sds * scale_of(p) for p in self.sizes}
 
     @property
     def coordinates(self) -> tuple[Parameter, ...]:
-        """The parameters that say where it is, of an effect that may be anywhere, or which way it goes."""
+        """Parameters of its free place, or of its direction."""
         if self.at is not None:
             return self.parameters[1:]
         return tuple(p for p in self.parameters if p.name in self.directions)
 
     @property
     def sizes(self) -> tuple[Parameter, ...]:
-        """The parameters that say how large it is."""
+        """Parameters of its size."""
         return tuple(p for p in self.parameters if p not in self.coordinates)
 
     def fixed(self, values: Values) -> Effect:
-        """The effect with its size alone to vary, where these values put it; itself if it has no place."""
+        """The effect fixed at the place in these values, its size alone free; itself without a free place."""
         if not self.is_anywhere:
             return self
         assert self.at is not None
@@ -248,7 +246,7 @@ class Effect:
         return replace(placed, parameters=self.sizes, size_factor=None)
 
     def again(self) -> Effect:
-        """A second one of the same cause, with a name and parameters of its own."""
+        """A second effect of the same cause, with its own name and parameters."""
         return replace(
             self,
             name=_SECOND.format(self.name),
@@ -262,7 +260,7 @@ class Effect:
 
     @property
     def forms(self) -> tuple[Effect, ...]:
-        """It and its alternatives."""
+        """The effect and its alternatives."""
         return (self, *self.alternatives)
 
     @property
@@ -276,14 +274,14 @@ class Effect:
         return self.belongs_to in ("material", "laboratory")
 
     def goes_with(self, other: Effect) -> bool:
-        """Whether the two can act together."""
+        """Whether the two effects can act together."""
         return other.name not in self.excludes and self.name not in other.excludes
 
 
 def _changed_again(
     change: Callable[[Problem, PlateFacts], Problem], problem: Problem, facts: PlateFacts
 ) -> Problem:
-    """The problem with a second effect: the terms of the first one, with the parameters of the second."""
+    """Problem with a second effect: the terms of the first one, with the parameters of the second."""
     changed = change(problem, facts)
     n = len(problem.terms)
     added = (
@@ -303,7 +301,7 @@ def _at_again(at: Callable[[Place], Effect], place: Place) -> Effect:
 
 
 def scale_of(parameter: Parameter) -> float:
-    """One standard deviation of the catalogue in the parameter's unit; what is known: its prior mean."""
+    """One catalogue standard deviation in the parameter's unit; of a known quantity, its prior mean."""
     return parameter.prior.typical
 
 
@@ -330,9 +328,9 @@ def extend(problem: Problem, effect: Effect, facts: PlateFacts) -> Problem:
 
 
 def variants(effect: Effect, facts: PlateFacts) -> tuple[Effect, ...]:
-    """The forms of the effect that a plate may have with the priors for it, equally probable.
+    """Equally probable forms of the effect that a plate may have, with the priors for this plate.
 
-    A place that the plate's symmetries map on another one is in the prior once.
+    Places that the plate's symmetries map onto each other are in the prior once.
     """
     every = effect.on_plate(facts) if effect.on_plate else effect.forms
     forms = (replace(form, parameters=effect.parameters, alternatives=()) for form in every)
@@ -348,7 +346,7 @@ def _for_plate(effect: Effect, facts: PlateFacts) -> Effect:
 
 
 def anywhere(problem: Problem, facts: PlateFacts) -> Problem:
-    """The ``change`` of an effect whose place is a parameter: there is none before the place is fixed."""
+    """The ``change`` of an effect at a free place: raises ``ValueError`` until the place is fixed."""
     del problem, facts
     raise ValueError(
         "an effect at any place is no change of the problem; fix its place with effect.at((x, y))"
@@ -356,12 +354,12 @@ def anywhere(problem: Problem, facts: PlateFacts) -> Problem:
 
 
 def coordinate(name: str, lower: float = 0.0) -> Parameter:
-    """A reference coordinate with equal density on the plate; lower : where symmetry makes a part equal."""
+    """Reference coordinate, uniform on the plate; lower : above 0 where symmetry halves the plate."""
     return Parameter(name, "", Uniform(lower, 1.0), 0.5 * (lower + 1.0), PERCENT)
 
 
 def place_text(place: Place) -> str:
-    """A place for people."""
+    """Text of a place."""
     return f"at ({', '.join(f'{c:.4g}' for c in place)})"
 
 
@@ -377,7 +375,7 @@ def either_sign(
     """A parameter of either sign with the catalogue's prior.
 
     end : of the prior, both if not symmetric
-    gross : scale of gross errors, ``EVEN`` where all sizes up to the ends are equally probable then
+    gross : scale of gross errors, ``EVEN`` for a uniform density of these up to the ends
     """
     end = _CUT * scale if end is None else end
     low, high = end if isinstance(end, tuple) else (-end, end)
@@ -387,7 +385,7 @@ def either_sign(
 def misstated(
     name: str, scale: float, end: float | tuple[float, float], *, shown: tuple[str, float] = PERCENT
 ) -> Parameter:
-    """The relative gross error of a number that a plate file states; its tolerance is in every hypothesis.
+    """Relative gross error of a number in the plate file; its tolerance is in every hypothesis.
 
     scale, end : of a Student-t, and where it is cut
     """
@@ -404,7 +402,7 @@ def one_sided(
     gross: float | None = None,
     shown: tuple[str, float] | None = None,
 ) -> Parameter:
-    """A parameter that can only add, with the catalogue's prior; gross as of ``either_sign``."""
+    """A non-negative parameter with the catalogue's prior; gross as of ``either_sign``."""
     end = _CUT * scale if end is None else end
     return Parameter(name, unit, _prior(scale, gross, 0.0, end), 0.0, shown)
 
@@ -423,9 +421,9 @@ def _prior(scale: float, gross: float | None, low: float, high: float) -> Prior:
 
 
 def with_state(problem: Problem, change: Callable[[PlateState, Values], PlateState]) -> Problem:
-    """The problem whose plate's numbers are changed before coefficients are made of them.
+    """Problem whose plate state is changed before its coefficients are computed.
 
-    ``change`` is a function of a module, or a partial of one: problems are sent to other processes.
+    ``change`` is a module-level function or a partial of one: problems are sent to other processes.
     """
     return replace(problem, state=partial(_changed, problem.state, change))
 
@@ -442,7 +440,7 @@ def stacked(*columns: Any) -> Array:
 
 
 def symmetries(facts: PlateFacts) -> tuple[bool, bool, bool]:
-    """Whether a plate is its own image mirrored in x, mirrored in y, and turned by half a turn."""
+    """Whether mirroring in x, mirroring in y, and a half-turn map a plate onto itself."""
     in_x, in_y = facts.edges[0] == facts.edges[2], facts.edges[1] == facts.edges[3]
     straight = facts.isotropic or bool(np.all(np.isin(np.abs(facts.layup.angles_deg), (0.0, 90.0))))
     own = not facts.loaded
@@ -450,9 +448,9 @@ def symmetries(facts: PlateFacts) -> tuple[bool, bool, bool]:
 
 
 def _on_half_or_quarter(effect: Effect, facts: PlateFacts) -> Effect:
-    """The effect where the plate's symmetries leave its place to be told, the sides x and y >= 0.5."""
+    """The effect with its place restricted to what the plate's symmetries leave, x and y >= 0.5."""
     *mirrored, turned = symmetries(facts)
-    # the half-turn alone leaves one half, whichever
+    # the half-turn alone leaves one half, either one
     halved = [axis for axis in (0, 1) if mirrored[axis]] or [0] * turned
     if not halved:
         return effect
@@ -472,7 +470,7 @@ _TWO_MISSED, _MOVED = 0.1, 0.1
 
 
 def _pairings(n: int, complete: bool) -> tuple[ListVariant, ...]:
-    """One mode missed, one false peak, two modes missed; an incomplete list misses modes in any case."""
+    """Variants with one mode missed, one false peak or two modes missed; none for an incomplete list."""
     if not complete:
         return ()
     once = [(ListChange(missed=(k,)), f"mode {k + 1} missed") for k in range(n)]
@@ -487,9 +485,9 @@ def _pairings(n: int, complete: bool) -> tuple[ListVariant, ...]:
 
 
 def _misreadings(n: int, complete: bool) -> tuple[ListVariant, ...]:
-    """One frequency that is misread and keeps its place, or that a transcription error moves to another.
+    """Variants with one frequency misread in its place, or moved by a transcription error to another place.
 
-    A list is sorted: a frequency that is typed far off stands where another mode would, and says nothing.
+    A list is sorted: a frequency typed far off stands in the place of another mode and is uninformative.
     """
     moved = [
         (ListChange(missed=(k,), spurious=i), f"gross, frequency {i + 1} is mode {k + 1}")
@@ -542,13 +540,13 @@ def _stiffened(frequencies: Array, values: Values) -> Array:
 
 
 def _measured_loss(facts: PlateFacts) -> float:
-    """A measured loss factor, of all losses, over the loss tangent of the prior, which it can only lower."""
+    """Measured loss factor, of all losses, over the prior's loss tangent; 1 at most."""
     if facts.loss_factor is None:
         return 1.0
     return min(max(facts.loss_factor, _LEAST_LOSS) / _LOSS_TANGENT, 1.0)
 
 
-# The least is that of bare aluminium: less is a decay that was not resolved, and 0 leaves no prior.
+# The least is that of bare aluminium: less is an unresolved decay, and 0 leaves no prior.
 _LOSS_TANGENT, _LEAST_LOSS = 0.01, 1e-4
 FREQUENCY_SCALE = Effect(
     name="frequency_scale",

@@ -1,4 +1,4 @@
-"""Plates of other sizes, thickness or density than stated, and of other shape: taper, skew, warp, outline."""
+"""Plates with other sizes, thickness or density than stated, or other shape: taper, skew, warp, outline."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ from cpam_bayes.plate.edges import Field, conditions
 
 
 def _scaled(size: str, parameter: str) -> Callable[[Problem, PlateFacts], Problem]:
-    """One of the plate's numbers times 1 + its relative deviation; a weighed plate keeps its mass."""
+    """Change that multiplies one plate number by 1 + its deviation; a weighed plate keeps its mass."""
     return partial(_with_scaled, size, parameter)
 
 
@@ -115,12 +115,12 @@ WIDTH = _relative(
     note="b (1 + deviation)",
     check="Measure the width along both edges.",
 )
-# Sides nearer to each other than this are not exchanged: what it changes is within a tolerance of either.
+# Sides closer than this are not exchanged: the change is within the tolerance of either.
 _SQUARE = 0.005
 
 
 def _sides_differ(facts: PlateFacts) -> bool:
-    """Whether exchanging the sides is another plate; known masses are where they are."""
+    """Whether exchanging the sides gives another plate; not with known masses, whose places are known."""
     apart = abs(facts.length / facts.width - 1.0) > _SQUARE
     turned = facts.isotropic and len(set(facts.edges)) == 1
     return apart and not turned and not facts.loaded
@@ -137,7 +137,7 @@ def _exchange(problem: Problem, facts: PlateFacts) -> Problem:
 
 
 def _sides_of(facts: PlateFacts) -> tuple[Effect, ...]:
-    """The plate with a and b exchanged; between equal edges it has the spectrum of the layup turned."""
+    """Form with a and b exchanged; between equal edges its spectrum is that of the layup turned."""
     alike = len(set(facts.edges)) == 1
     title = f"{SWAPPED_SIDES.title}, or the layup turned by 90 degrees" if alike else SWAPPED_SIDES.title
     return (replace(SWAPPED_SIDES, change=_exchange, title=title),)
@@ -188,7 +188,7 @@ CLAMP_LENGTH = Effect(
 )
 
 
-# Powers of h that the coefficients of MASS_FORMS carry.
+# Powers of h in the coefficients of MASS_FORMS.
 _MASS_POWERS = np.array([1, 1, 1, 3, 3])
 
 
@@ -243,7 +243,7 @@ def _skew(problem: Problem, facts: PlateFacts) -> Problem:
 
     A weighed plate keeps its mass.
     """
-    # turning in the plane, v is x, which changes along eta too
+    # rotation in the plane has v = x, which changes along eta too
     content = (*problem.rigid_content, ("v", (0, 1)))
     return replace(with_state(problem, partial(_skewed, facts.weighed)), rigid_content=content)
 
@@ -254,9 +254,8 @@ def _skewed(keeps_mass: bool, state: PlateState, values: Values) -> PlateState:
     return replace(state, skew=skew, density=density)
 
 
-# Rows of the membrane strain that an initial deflection adds, eps' = w0,x w,x and so on: row, atom of w,
-# weight along x and along y, along which axis w0 is derived. Its slopes are -4 sag_x s_x / a and
-# -4 sag_y s_y / b.
+# Membrane strains that an initial deflection w0 adds, eps' = w0,x w,x and so on: row, atom of w, weight along
+# x and along y, axis of the derivative of w0. Its slopes are -4 sag_x s_x / a and -4 sag_y s_y / b.
 _SLOPES = (
     (0, Atom("w", "x"), (LINE, ONE), "x"),
     (1, Atom("w", "y"), (ONE, LINE), "y"),
@@ -305,7 +304,7 @@ def _warp(problem: Problem, facts: PlateFacts) -> Problem:
     sides = np.array([r[2] for r in table])
     factor, sags = np.array([r[3] for r in table]), np.array([r[4] for r in table])
     coefficients = partial(_warp_coefficients, rows, columns, sides, factor, sags)
-    # tilting, w is x or y, and u, v are what keeps the cap from stretching
+    # rigid tilting has w = x or y, with the u and v that keep the cap from stretching
     squares: tuple[Field, ...] = ("u", "v")
     tilting = tuple((field, powers) for field in squares for powers in ((2, 0), (0, 2)))
     warped = replace(problem, rigid_content=problem.rigid_content + tilting)
@@ -313,7 +312,7 @@ def _warp(problem: Problem, facts: PlateFacts) -> Problem:
 
 
 def _counted(*axes: str) -> Array:
-    """How often x and how often y is among some axes, (2,), whole: a negative sag has no other powers."""
+    """Counts (2,) of x and of y among some axes, integers: a negative sag has no other powers."""
     return np.array([axes.count("x"), axes.count("y")])
 
 
@@ -324,7 +323,7 @@ def _warp_coefficients(
     sag, direction = np.asarray(values["sag"]), np.deg2rad(1.0) * np.asarray(values["sag_direction_deg"])
     along_x, along_y = (np.sqrt(2.0) * sag * turned(direction) for turned in (np.cos, np.sin))
     scale = factor * length ** (1.0 - sides[:, 0]) * width ** (1.0 - sides[:, 1])
-    # whole powers: a negative sag has no other
+    # integer powers: a negative sag has no other
     scale = (
         scale * along_x[..., None] ** sags[:, 0].astype(int) * along_y[..., None] ** sags[:, 1].astype(int)
     )
@@ -383,15 +382,15 @@ WARP = Effect(
 )
 
 
-# Sides of the square over the shorter side of the plate: each holds what is 0.6 times as long.
+# Sides of the square over the shorter side of the plate: each also covers cuts down to 0.6 of it.
 _CUTS = (0.06, 0.10, 0.16, 0.25)
 _CORNERS = ((1.0, 1.0), (1.0, 0.0), (0.0, 1.0), (0.0, 0.0))
 
 
 def _cut(place: Place, problem: Problem, facts: PlateFacts) -> Problem:
-    """K and M less by what a square at a corner has, times the share of it that is missing.
+    """K and M minus those of a square at a corner, times the share of it that is missing.
 
-    A smaller cut, of any outline, acts as a part of the square does; all of it leaves the stiffness and the
+    A smaller cut of any outline acts as a part of the square does; the whole square leaves the stiffness and
     mass of the rest. A weighed plate keeps its mass.
     """
     x, y, extent = place
@@ -419,12 +418,12 @@ def _without_corner(state: PlateState, values: Values) -> PlateState:
 
 
 def _share(extent: float, facts: PlateFacts) -> float:
-    """Of the square over the plate's area, but for a hundredth: it stays one piece."""
+    """Area of the square over the plate's, minus one hundredth of it: the plate stays one piece."""
     return 0.99 * extent**2 * min(facts.length, facts.width) / max(facts.length, facts.width)
 
 
 def corner_images(corner: Place, facts: PlateFacts) -> tuple[Place, ...]:
-    """A corner (x, y), each 0 or 1, and those that no frequency tells from it."""
+    """A corner (x, y), each 0 or 1, and those that no frequency distinguishes from it."""
     x, y = corner[:2]
     in_x, in_y, turned = symmetries(facts)
     ways = ((in_x, (1.0 - x, y)), (in_y, (x, 1.0 - y)), (turned, (1.0 - x, 1.0 - y)))
@@ -432,7 +431,7 @@ def corner_images(corner: Place, facts: PlateFacts) -> tuple[Place, ...]:
 
 
 def _may_lack(corner: Place, facts: PlateFacts) -> bool:
-    """Whether both edges at a corner are free, and it is the first of those that look alike."""
+    """Whether both edges at a corner are free, and it is the first of its images."""
     x0, y0, x1, y1 = conditions(facts.edges)
     is_free = (x1 if corner[0] else x0).is_free and (y1 if corner[1] else y0).is_free
     return is_free and corner == min(corner_images(corner, facts), key=_CORNERS.index)

@@ -1,4 +1,4 @@
-"""A plate that was laid up otherwise than stated, by one step: a ply missing, two neighbours exchanged."""
+"""Layups one step from the stated one: a ply missing, or two neighbours exchanged."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from cpam_bayes.plate.laminate import (
 )
 from cpam_bayes.plate.layup import Layup, PlyKind
 
-# Of long layups so many neighbours are weighed, those whose bending stiffness differs most.
+# Most neighbours of a long layup that are weighed: those whose bending stiffness differs most.
 MOST = 24
-# Largest difference of lamination parameters, of unit plies, that is none.
+# Difference of lamination parameters of unit plies below which two are equal.
 _SAME = 1e-6
 
 
@@ -32,8 +32,8 @@ _SAME = 1e-6
 class Step:
     """One step from the stated layup.
 
-    missing, exchanged : numbers of plies from the bottom, counted from 0, that are not there, and that have
-        changed places with the next one
+    missing, exchanged : numbers from 0, bottom first, of plies that are missing, and that have changed places
+        with the next one
     """
 
     missing: tuple[int, ...] = ()
@@ -41,14 +41,14 @@ class Step:
 
     @property
     def text(self) -> str:
-        """The step for people, who count plies from 1."""
+        """Text of the step, which counts plies from 1."""
         if self.missing:
             numbers = " and ".join(str(i + 1) for i in self.missing)
             return f"{'ply' if len(self.missing) == 1 else 'plies'} {numbers} missing"
         return f"plies {', '.join(f'{i + 1} and {i + 2}' for i in self.exchanged)} exchanged"
 
     def order(self, n_plies: int) -> list[int]:
-        """Numbers in the stated layup of the plies that there are, bottom to top."""
+        """Numbers in the stated layup of the plies that remain, bottom to top."""
         order = list(range(n_plies))
         for i in self.exchanged:
             order[i], order[i + 1] = i + 1, i
@@ -56,17 +56,17 @@ class Step:
 
 
 def neighbours(layup: Layup, most: int = MOST) -> tuple[Step, ...]:
-    """The steps from a known layup to those whose bending stiffness is another one, each of these once.
+    """Steps from a known layup to layups with another bending stiffness, each of these once.
 
-    Two with the same A and D, and B but for its sign, are one. The farthest come first, ``most`` at most:
-    those whose bending stiffness differs most from the stated one, by lamination parameters of unit plies
-    |d - d_0| + 3/4 |b -+ b_0| (|b| + |b_0|).
+    Layups with the same A and D, and the same B up to its sign, are one. The farthest come first, ``most`` at
+    most: those whose bending stiffness differs most from the stated one, by lamination parameters of unit
+    plies |d - d_0| + 3/4 |b -+ b_0| (|b| + |b_0|).
     """
     plies, functions, steps = _stated(layup), _functions(layup), list(_steps(layup))
     stated = _Parameters.of(plies, functions)
     orders = (step.order(layup.n_plies) for step in steps)
     found = [_Parameters.of(plies.reordered(order), functions[order]) for order in orders]
-    # rounded: of two that are one, the first stays
+    # rounded, so that the first of two equal layups stays
     farthest = sorted(range(len(steps)), key=lambda i: -round(found[i].distance(stated), 9))
     kept: list[int] = []
     for i in farthest:
@@ -77,7 +77,7 @@ def neighbours(layup: Layup, most: int = MOST) -> tuple[Step, ...]:
 
 
 def _steps(layup: Layup) -> Iterator[Step]:
-    """Every step; in a run of equal plies the first is as good as any, and only its ends can be exchanged."""
+    """All steps; of a run of equal plies only the first is removed, and only its ends are exchanged."""
     n, plies = layup.n_plies, _plies(layup)
     ends = [i for i, (a, b) in enumerate(pairwise(plies)) if a != b]
     for i in (0, *(end + 1 for end in ends)):
@@ -97,7 +97,7 @@ def _plies(layup: Layup) -> list[tuple[float, PlyKind | None]]:
 
 @dataclass(frozen=True, slots=True)
 class _Parameters:
-    """Lamination parameters of a layup, each of the size of its angle functions: of A, B and D."""
+    """Lamination parameters of a layup for A, B and D, each of the size of its angle functions."""
 
     a: Array
     b: Array
@@ -105,12 +105,12 @@ class _Parameters:
 
     @classmethod
     def of(cls, plies: PlyStack, functions: Array) -> _Parameters:
-        """Of plies with their angle functions (n_plies, k)."""
+        """Lamination parameters, (k,) each, of plies with angle functions (n_plies, k)."""
         z = plies.interfaces
         return cls(np.diff(z) @ functions, 2.0 * np.diff(z**2) @ functions, 4.0 * np.diff(z**3) @ functions)
 
     def _apart(self, other: _Parameters) -> float:
-        """How far B is from that of the other, or of the other turned over."""
+        """Distance of B from that of the other layup or of the other turned over, the smaller one."""
         return float(min(np.abs(self.b - other.b).max(), np.abs(self.b + other.b).max()))
 
     def bends_like(self, other: _Parameters) -> bool:
@@ -120,7 +120,7 @@ class _Parameters:
         return self.bends_like(other) and bool(np.abs(self.a - other.a).max() < _SAME)
 
     def distance(self, other: _Parameters) -> float:
-        """Of the bending stiffness, with what stretching takes off it: B^T A^-1 B is quadratic in B."""
+        """Distance in bending stiffness, less the part lost to stretching: B^T A^-1 B is quadratic in B."""
         size = float(np.linalg.norm(self.b) + np.linalg.norm(other.b))
         return float(np.linalg.norm(self.d - other.d)) + 0.75 * self._apart(other) * size
 
@@ -130,7 +130,7 @@ def _stated(layup: Layup) -> PlyStack:
 
 
 def _functions(layup: Layup) -> Array:
-    """Angle functions of the stated plies, those of every material apart, (n_plies, 5 n_materials)."""
+    """Angle functions (n_plies, 5 n_materials) of the stated plies, separate columns for each material."""
     plies = _stated(layup)
     is_of = plies.material[:, None] == np.arange(len(plies.names))
     apart = is_of[:, :, None] * angle_functions(layup.angles_deg)[:, None, :]
@@ -145,7 +145,7 @@ def _on_plate(facts: PlateFacts) -> tuple[Effect, ...]:
 
 
 def _laid_up(step: Step, problem: Problem, facts: PlateFacts) -> Problem:
-    """Plies that fill h; what the space of a symmetric layup has no functions for is reduced bending."""
+    """Problem with the plies after a step, which fill h; without functions for coupling, reduced bending."""
     layup = facts.layup
     order = step.order(layup.n_plies)
     plies = _stated(layup).reordered(order)

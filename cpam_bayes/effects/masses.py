@@ -25,10 +25,10 @@ from cpam_bayes.mechanics.problem import Array, Atom, Form, PlateState, Problem,
 from cpam_bayes.parameters import LogUniform, Parameter, TruncatedNormal
 from cpam_bayes.plate.edges import EDGES, FIELDS, PLACES, conditions
 
-# Of the mass of the plate: one standard deviation, and the heaviest that a point mass describes.
+# Over the mass of the plate: one standard deviation, and the heaviest that a point mass describes.
 _SCALE, _HEAVIEST = 0.01, 0.1
 # Radius of gyration about the surface that a mass is fixed to, m. A cube of side s has s (1/6 + 1/4)^(1/2):
-# 3 mm for half a gram to 19 mm for 50 g with the 2 to 5 g/cm3 of accelerometers; less for what is flat.
+# 3 mm for half a gram to 19 mm for 50 g with the 2 to 5 g/cm3 of accelerometers; less if flat.
 _GYRATION = LogUniform(1e-3, 20e-3)
 
 
@@ -77,7 +77,7 @@ def _point_mass(name: str, place: tuple[float, float], mass: float | None, gyrat
 
 
 def _coefficients(of: str | float, gyration: float, state: PlateState, values: Values) -> Array:
-    """Those of u, v, w and of the rotations, (..., 5).
+    """Coefficients (..., 5) of u, v, w and of the rotations.
 
     of : kg, or the name of the parameter that is the mass
     """
@@ -113,8 +113,8 @@ SENSOR_MASS = Effect(
 )
 
 
-# Of the mass of the plate: plastic tape along an edge, 19 mm wide and 0.15 mm thick, has 4 g/m, and a strip
-# along an edge that is as heavy as the plate under it and a twentieth as wide.
+# Over the mass of the plate: plastic tape along an edge, 19 mm wide and 0.15 mm thick (4 g/m), and a strip
+# along an edge as heavy as the plate under it and a twentieth as wide.
 _STRIP, _BROADEST = 0.003, 0.05
 
 
@@ -126,13 +126,13 @@ def _with_strip(edge: int, problem: Problem, facts: PlateFacts) -> Problem:
 
 
 def _alike(edge: int, facts: PlateFacts) -> tuple[int, ...]:
-    """An edge, and the one across the plate where that is its image."""
+    """An edge, and the opposite one where that is its image."""
     *mirrored, turned = symmetries(facts)
     return (edge, (edge + 2) % 4) if mirrored[edge % 2] or turned else (edge,)
 
 
 def _may_carry_strip(edge: int, facts: PlateFacts) -> bool:
-    """Whether an edge is free, and the later one of two that are images of each other."""
+    """Whether an edge is free and, of two images, the later one."""
     return conditions(facts.edges)[edge].is_free and edge == max(_alike(edge, facts))
 
 
@@ -158,7 +158,7 @@ _STRIPS = tuple(
 EDGE_MASS = replace(_STRIPS[0], alternatives=_STRIPS[1:])
 
 
-# Functions along each side: added masses are converged to 1e-4 of themselves.
+# Functions along each side: added masses are converged to 1e-4, relative.
 _ORDER = 12
 # Wave numbers, in units of 2 / side, up to which Bessel functions are integrated; beyond, their mean.
 _CUTOFF = 400.0
@@ -166,11 +166,11 @@ _CUTOFF = 400.0
 
 @dataclass(frozen=True, slots=True)
 class PressureJumps:
-    """Functions g of the plate with rho sum (integral of g_k w)^2 twice the kinetic energy of the air.
+    """Functions g_k of the plate with rho sum (integral of g_k w)^2 = twice the kinetic energy of the air.
 
     The jump of the velocity potential is a sum of chi_mn = sqrt(1 - x^2) U_m(x) sqrt(1 - y^2) U_n(y),
     x and y from -1 to 1; its energy is c^T Lambda c with Lambda = 1/2 int |k| chi chi* d2k / (4 pi^2).
-    What the plate's velocity w sets in motion is F^T Lambda^-1 F, F = int chi w. length, width : m.
+    The added mass for the plate's velocity w is F^T Lambda^-1 F, F = int chi w. length, width : m.
     """
 
     length: float
@@ -190,7 +190,7 @@ def _jumps(s: Array) -> Array:
 
 @lru_cache(maxsize=32)
 def _inverse_root(length: float, width: float) -> Array:
-    """R with R R^T = Lambda^-1, (r, r), block by block of equal parities, so that these stay apart."""
+    """R (r, r) with R R^T = Lambda^-1, block by block of equal parities, so that these do not mix."""
     energy = jump_energy(length, width)
     parity = [(m % 2, n % 2) for m in range(_ORDER) for n in range(_ORDER)]
     root = np.zeros_like(energy)
@@ -205,8 +205,8 @@ def _inverse_root(length: float, width: float) -> Array:
 def jump_energy(length: float, width: float) -> Array:
     """Lambda of a rectangle, (r, r) with r the number of pairs (m, n), m.
 
-    The square root is taken apart, |k| = 1 / (2 sqrt(pi)) int_0^inf (1 - exp(-|k|^2 t)) t^-3/2 dt, which
-    leaves products of integrals over one wave number; t = exp(tau) by the trapezoidal rule.
+    With |k| = 1 / (2 sqrt(pi)) int_0^inf (1 - exp(-|k|^2 t)) t^-3/2 dt the square root becomes products of
+    integrals over one wave number; t = exp(tau) by the trapezoidal rule.
     """
     half = np.array([length, width]) / 2.0
     tau = np.linspace(-26.0, 26.0, 261)
@@ -245,7 +245,7 @@ def _side_integrals(t: Array) -> Array:
 
 
 def _in_air(problem: Problem, density: float | None) -> Problem:
-    """M += rho F^T Lambda^-1 F; for another size of the plate it scales with the area to 3/2."""
+    """M += rho F^T Lambda^-1 F; for other sizes of the plate it scales with the area to the power 3/2."""
     nominal = problem.nominal
     length, width = float(np.real(nominal.length)), float(np.real(nominal.width))
     form = Form(Atom("w"), Atom("w"), Region("projection"), PressureJumps(length, width))
@@ -277,7 +277,7 @@ AIR = Effect(
     title="surrounding air",
     family="surroundings",
     belongs_to="laboratory",
-    # the densities that rooms have, at any height above the sea and in any weather
+    # the densities of air in rooms, at any altitude and in any weather
     parameters=(Parameter("air_density", "kg/m3", TruncatedNormal(1.2, 0.06, 0.0, 1.5), null=0.0),),
     note="added mass of an unbaffled plate: always there, never detectable alone",
     check="State the air's density in the plate file; temperature, pressure and humidity give it to 1 %.",

@@ -1,4 +1,4 @@
-"""Plies other than written: turned, softened, damaged, under residual stress, or of another material."""
+"""Plies other than stated: turned, softened, damaged, under residual stress, or of another material."""
 
 from __future__ import annotations
 
@@ -44,15 +44,15 @@ from cpam_bayes.parameters import LogUniform, Parameter
 from cpam_bayes.plate import split_name
 from cpam_bayes.plate.laminate import SHEAR, LaminateGeometry, reduced_stiffness, thickness_powers
 
-# Transverse shear moduli of a composite are within this factor, as a logarithm, of what is assumed of them.
+# Log of the factor within which transverse shear moduli of a composite differ from the assumed ones.
 _FACTOR_TWO = float(np.log(2.0))
 
 
 def rotated(geometry: LaminateGeometry, angle_deg: Array) -> LaminateGeometry:
     """The layup with every ply turned by an angle (...), degrees.
 
-    cos 2(t + a) = cos 2a cos 2t - sin 2a sin 2t and so on: all that a geometry holds is linear in the
-    angle functions of its plies.
+    cos 2(t + a) = cos 2a cos 2t - sin 2a sin 2t and so on: a geometry is linear in the angle functions of
+    its plies.
     """
     a = np.deg2rad(1.0) * np.asarray(angle_deg)
     turn = np.zeros((*a.shape, 5, 5), dtype=a.dtype)
@@ -63,13 +63,13 @@ def rotated(geometry: LaminateGeometry, angle_deg: Array) -> LaminateGeometry:
         turn[..., cosine, sine] = -np.sin(k * a)
 
     def of_layup(functions: Array) -> Array:
-        """(..., 5 n), the functions of each material."""
+        """Turned functions (..., 5 n) of each material."""
         apart = functions.reshape(*functions.shape[:-1], -1, 5)
         turned = np.einsum("...ij,...mj->...mi", turn, apart)
         return np.asarray(turned.reshape(*turned.shape[:-2], -1))
 
     def of_points(functions: Array) -> Array:
-        """(..., n_points, 5 n)."""
+        """Turned functions (..., n_points, 5 n)."""
         apart = functions.reshape(*functions.shape[:-1], -1, 5)
         turned = np.einsum("...ij,...pmj->...pmi", turn, apart)
         return np.asarray(turned.reshape(*turned.shape[:-2], -1))
@@ -128,7 +128,7 @@ def _outermost(n_plies: int) -> int:
 
 
 def _inner(n_plies: int) -> int:
-    """The last but one before the midplane."""
+    """Index of the last ply but one before the midplane."""
     return n_plies // 2 - 2
 
 
@@ -173,9 +173,9 @@ INNER_PLY_ANGLE = Effect(
 )
 
 
-# Of the extent over the shorter side: from a spot of a few thicknesses to two thirds of the plate.
+# Extent over the shorter side: from a spot of a few thicknesses to two thirds of the plate.
 _EXTENT = LogUniform(0.03, 0.35)
-# Of the stiffness lost: one standard deviation, and the most with which the plate is one piece.
+# Lost part of the stiffness: one standard deviation, and the largest with which the plate is one piece.
 _SCALE, _DEEPEST = 0.2, 0.95
 # Forms of bending and of transverse shear.
 _SOFTENED = np.flatnonzero(LAMINATE_ENTRIES.min(axis=0) >= 3)
@@ -372,9 +372,9 @@ MATERIAL = Effect(
 
 # g(s) = (1 - s^2)^2: it and its slope vanish at both ends, so that no edge carries load.
 _G = Polynomial((1.0, 0.0, -2.0, 0.0, 1.0))
-# Largest value of N_x a unit of F0 4 / b^2: g(0) g''(1).
+# Largest value of N_x per unit of F0 4 / b^2: g(0) g''(1).
 _PEAK = 8.0
-# Stresses that a plate is held to carry flat, in min(sqrt(D11 D22), 4 D66) / (h b^2) with b the shorter side:
+# Stresses at which a plate is taken for flat, in min(sqrt(D11 D22), 4 D66) / (h b^2) with b the shorter side:
 # the 17 built-in plates buckle between -70 and -44 and above 82.
 _LEAST, _MOST = -35.0, 65.0
 

@@ -53,12 +53,12 @@ _WHY: Final[Mapping[str, str]] = {
 
 
 def catalogue_table(effects: Sequence[Effect] = CATALOGUE) -> str:
-    """A Markdown table: a cause a row, with its prior, how it enters, and why its sizes are these."""
+    """Markdown table with one cause per row: its prior, how it enters, and the reasons for its sizes."""
     return _table(_HEAD, map(_row, effects))
 
 
 def _row(effect: Effect) -> tuple[str, ...]:
-    # a size that follows the plate's has its words in the note
+    # a size that scales with the plate is described in the note
     of_plate = bool(effect.is_anywhere or effect.place) and effect.size_factor is not None
     sizes = ["of the plate" if of_plate else _size(p) for p in effect.sizes]
     ends = ["of the plate" if of_plate else _ends(p) for p in effect.sizes]

@@ -1,1 +1,1 @@
-"""Frequencies of a plate from its parameters."""
+"""Forward models: frequencies of a plate from its parameters."""

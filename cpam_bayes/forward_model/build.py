@@ -1,4 +1,4 @@
-"""Reduced models of specimens, as accurate as their lists ask for; a process makes each of them once."""
+"""Reduced models of specimens, as accurate as their lists require; a process makes each of them once."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ from cpam_bayes.storage import name_unused_models
 
 T = TypeVar("T")
 
-# Error of a basis over the least noise, and between which it lies.
+# Error of a basis over the least noise, and its limits.
 _SHARE, _LEAST, _MOST = 0.05, 2e-5, 1e-3
-# Relative noise that an inferred one may be as small as: what exact lists have left of it is the fit's.
+# Smallest inferred relative noise to allow for: exact lists have only the error of the fit.
 _INFERRED = 1e-3
-# Relative change of a side from which trial functions are sought anew.
+# Relative change of a side from which trial functions are chosen anew.
 _SAME_SPACE: Final = 0.1
-# Models that a process keeps, those used last.
+# Most models that a process keeps, those used last.
 _KEPT: Final = 48
 
 
 def basis_tolerance(measurement: Measurement) -> float:
-    """Relative error of a basis that does not show beside the noise of a list.
+    """Relative error of a basis that is negligible beside the noise of a list.
 
-    0.05 of the least relative standard deviation of a frequency, by noise and rounding together; where the
-    noise is inferred it may be 0.1 %.
+    0.05 of the least relative standard deviation of a frequency, by noise and rounding together; an inferred
+    noise counts as 0.1 %.
     """
     stated = _INFERRED if measurement.relative_std is None else measurement.relative_std
     sd = np.hypot(measurement.noise_sd(stated), measurement.resolution / np.sqrt(12.0))
@@ -56,7 +56,7 @@ def model_key(
     settings: ReductionSettings,
     centre: Array | None,
 ) -> str:
-    """All that a reduced model depends on, as a text: the plate, not what was measured of it."""
+    """All that a reduced model depends on, as a text: the plate, not its measurement."""
     plate = specimen.plate
     content = {
         "sizes": [plate.length, plate.width, plate.thickness, plate.density, plate.mass],
@@ -84,7 +84,7 @@ _lock = Lock()
 
 
 def remembered(key: str, make: Callable[[], T]) -> T:
-    """What was made under a key in this process, made now if it was not or is long past."""
+    """The object made under a key in this process, made now if it is not kept."""
     with _lock:
         if key in _made:
             _made.move_to_end(key)
@@ -100,7 +100,7 @@ def remembered(key: str, make: Callable[[], T]) -> T:
 
 
 def forget_models() -> None:
-    """Let go of all models that this process keeps, to see how long it takes to make them."""
+    """Drop all models that this process keeps, to time how long they take to make."""
     with _lock:
         _made.clear()
 
@@ -121,8 +121,8 @@ def reduced_model(
 
     bias : of the theory, where measured frequencies are compared with it
     centre : the parameter vector about which the plate model is converged most tightly, by default
-    the reference constants. near : where it suits the plate is not converged anew, with the neighbour's
-    error. ``notify`` is called with what takes long. The same request gives the same model.
+    the reference constants. near : where it suits, its trial functions and error are used instead of
+    converging anew. ``notify`` is called with each long step. The same request gives the same model.
     """
     key = f"{model_key(specimen, parameters, n_modes, settings, centre)} {bias}"
     with _lock:
@@ -149,7 +149,7 @@ def reduced_model(
 
 @dataclass(frozen=True, slots=True)
 class Neighbour:
-    """A plate of slightly other sizes with its converged model, whose trial functions serve again."""
+    """A plate of slightly different size with its converged model, whose trial functions are used again."""
 
     specimen: Specimen
     model: PlateModel
@@ -160,7 +160,7 @@ class Neighbour:
         return self._key_of(self.specimen)
 
     def suits(self, specimen: Specimen, parameters: ParameterSet, n_modes: int) -> bool:
-        """Whether they serve a plate: one that differs by its sizes alone, and by little."""
+        """Whether they suit a plate: one that differs only in its sizes, and by little."""
         mine, other = self.specimen.plate, specimen.plate
         sides = ((mine.length, other.length), (mine.width, other.width), (mine.thickness, other.thickness))
         sizes = {name: getattr(mine, name) for name in ("length", "width", "thickness", "density", "mass")}
@@ -177,7 +177,7 @@ class Neighbour:
 
 
 def without_matrices(reduced: ReducedModel) -> ReducedModel:
-    """A reduced model without the matrices of the full space, to be sent or kept: it predicts alone."""
+    """A reduced model without the matrices of the full space, to be sent or kept: it can only predict."""
     operator = reduced.full.operator
     full = replace(reduced.full, operator=AffineOperator(operator.problem, operator.space, ()))
     return replace(reduced, full=full)

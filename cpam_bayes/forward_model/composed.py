@@ -1,4 +1,4 @@
-"""Frequencies of the lists of one or several plates, with the effects that each may have, from one vector."""
+"""Frequencies of the lists of one or several plates, each with its effects, from one parameter vector."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cpam_bayes.mechanics.problem import Array, Values
 from cpam_bayes.parameters import ParameterSet
 
 _STEP = 1e-30
-# Vectors of a block from which on a second projection pays.
+# Size of a block from which a second projection pays.
 LARGE_BASIS = 80
 
 
@@ -22,7 +22,7 @@ class Change:
     """An effect in the model of one plate.
 
     names, columns : of the effect's parameters, in the joint vector
-    model : of the plate with the effect, its parameters the plate's and then the effect's; ``None`` where
+    model : of the plate with the effect, in the plate's parameters and then the effect's; ``None`` where
         the effect acts on the frequencies
     observe : frequencies (..., n_modes) and values (...) -> frequencies
     """
@@ -66,7 +66,7 @@ class Part:
 class ComposedModel:
     """Frequencies of the lists of all plates, one after the other, from one parameter vector.
 
-    Two effects of one plate add their relative shifts: ln f = ln f_1 + ln f_2 - ln f_0, with f_0 of the
+    The relative shifts of two effects of one plate add: ln f = ln f_1 + ln f_2 - ln f_0, with f_0 of the
     bare plate.
     """
 
@@ -97,9 +97,9 @@ class ComposedModel:
         return admissible
 
     def basis_error(self, x: Array) -> float | None:
-        """Largest relative error of a listed frequency by the reduced bases, from full solves at x (m, n).
+        """Largest relative error of a listed frequency from the reduced bases, by full solves at x (m, n).
 
-        ``None`` where no model that is asked is a ``ReducedModel``.
+        ``None`` where no model in use is a ``ReducedModel``.
         """
         x = np.atleast_2d(x)[:, : self.parameters.size]
         errors = []
@@ -124,10 +124,10 @@ class ComposedModel:
     def about(
         self, x: Array, tolerance: float, fraction: float, *, least_size: int = LARGE_BASIS
     ) -> ComposedModel:
-        """The same on fewer vectors where models are reduced ones: enough about parameter vectors x (m, n).
+        """The model with its reduced models on fewer basis vectors, enough about parameter vectors x (m, n).
 
         tolerance, fraction : as in ``focused``
-        least_size : models whose largest block is smaller stay as they are
+        least_size : models whose largest block is smaller are kept
 
         Raises ``RigidBodyError`` where a plate has no modes at one of them.
         """
@@ -219,7 +219,7 @@ def _log_prediction(
 
 
 def _observed(change: Change, f: Array, slope: Array, x: Array, jacobian: bool) -> tuple[Array, Array]:
-    """What an effect on the frequencies makes of them; derivatives by complex step along each parameter."""
+    """Frequencies with an effect that acts on them; derivatives by complex step along each parameter."""
     assert change.observe is not None
     values = {name: x[:, column] for name, column in zip(change.names, change.columns, strict=True)}
     new = change.observe(f, values)

@@ -21,7 +21,7 @@ from cpam_bayes.mechanics.problem import Array, Problem
 from cpam_bayes.plate import Specimen
 from cpam_bayes.running import single_blas_thread
 
-# Frequencies of the element converge like its size to this power.
+# Order of convergence of the frequencies in the element size.
 _RATE = 4
 _COARSER = 2
 
@@ -71,8 +71,8 @@ def _error(problem: Problem, operator: SparseOperator, n_modes: int) -> Array:
     """Estimated relative error of the frequencies on the default mesh, (n_modes,).
 
     Richardson's estimate from a mesh of half as many elements a side, |f_2h / f_h - 1| / (2^4 - 1),
-    twice: with the outermost elements cut like those of the default mesh, which tells what the
-    inner ones contribute, and uncut, which tells of the layers along the edges.
+    twice: with the outermost elements graded as in the default mesh, for the error of the inner
+    ones, and without grading, for that of the layers along the edges.
     """
     fine = _frequencies(operator, n_modes)
     counts = [n // _COARSER for n in default_counts(problem.nominal)]

@@ -1,7 +1,6 @@
-"""Known errors of what a plate file states, and of the theory: what all frequencies of a list have in common.
+"""Known errors of the numbers in a plate file, and of the theory, which all frequencies of a list share.
 
-What was weighed stays as weighed: a plate of other sizes has another density (docs/priors.md, Sizes and
-mass).
+A weighed mass is kept: a plate of other sizes has another density (docs/priors.md, Sizes and mass).
 """
 
 from __future__ import annotations
@@ -34,21 +33,21 @@ from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal, Unif
 from cpam_bayes.plate import Plate, Specimen
 
 FREQUENCY_SCALE: Final = SCALE.name
-# Range of a size about its value in which its derivative is taken, relative.
+# Relative range of a size about its value in which its derivative is taken.
 _RANGE = 0.1
-# Relative noise that weighs the frequencies where none is stated, that of a usual tap test.
+# Relative noise that weights the frequencies where none is stated, that of a usual tap test.
 _USUAL_NOISE = 0.002
 
 
 @dataclass(frozen=True, slots=True)
 class ScaleError:
-    """Errors of the constants by one number that the model assumes exact, to first order.
+    """Errors of the constants due to one number that the model assumes exact, to first order.
 
     name : thickness, length, width, density or mass; "frequency_scale" of the analyser
-    shift : constant -> by how much it is another one, relative, for each relative excess of the true number
-        over the stated one: as identified again with the true one
-    visible : fraction of the frequencies' change that the constants do not repeat, 0 to 1
-    sd : relative standard deviation of the number that intervals contain, None where they do not
+    shift : constant -> its relative change, identified with the true number, per relative excess of the true
+        number over the stated one
+    visible : fraction of the frequencies' change that the constants cannot reproduce, 0 to 1
+    sd : relative standard deviation of the number that intervals include, None where they do not
     """
 
     name: str
@@ -63,8 +62,8 @@ class Powers:
 
     frequencies : (n_f,) predicted there, Hz
     of_constants : (n_f, n)
-    of_sizes : name of the number, of a size, the scale or the theory -> (n_f,); of a weighed plate the mass
-        stays where a size changes
+    of_sizes : name of a size, of the scale or of the theory's errors -> (n_f,); a weighed plate keeps its
+        mass where a size changes
     """
 
     frequencies: Array
@@ -77,7 +76,7 @@ def powers(
 ) -> Powers | None:
     """The powers at some constants, with their signs.
 
-    model : converged on a Ritz space; of another one nothing is known and None returned
+    model : converged on a Ritz space; None is returned for any other
     constants : unknown -> its value, SI
     order : (n_f,) mode of each frequency
     """
@@ -101,13 +100,13 @@ def powers(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Absorbed:
-    """What the constants take up of errors of sizes, mass and frequency scale.
+    """The part of errors of sizes, mass and frequency scale that the constants absorb.
 
-    specimen : whose numbers these are
+    specimen : to which the numbers belong
     constants : unknown -> its most probable value, SI
-    names : of the k numbers; none of a model of which nothing is known
-    shift : (k, n) relative, of the constants, for each relative excess of a number
-    change, left : (k, n_f) likewise of the frequencies over their noise, and what the constants leave of it
+    names : of the k numbers; empty where the powers of the model are not known
+    shift : (k, n) relative change of the constants per relative excess of a number
+    change, left : (k, n_f) that of the frequencies over their noise, and what the constants leave of it
     """
 
     specimen: Specimen
@@ -118,7 +117,7 @@ class Absorbed:
     left: Array
 
     def errors(self, *, usual: bool) -> tuple[ScaleError, ...]:
-        """By each number; usual : whether intervals contain what [plate.sd] leaves out, as it usually is."""
+        """Errors by each number; usual : whether intervals include usual values where [plate.sd] has none."""
         known, errors = known_errors(self.specimen), []
         for name, shift, change, left in zip(self.names, self.shift, self.change, self.left, strict=True):
             if name not in known:  # of the theory, not of the file
@@ -138,11 +137,11 @@ def absorbed(
     spread: Mapping[str, float],
     listed: Array | None = None,
 ) -> Absorbed:
-    """What the constants take up of errors of sizes, mass and frequency scale.
+    """The part of errors of sizes, mass and frequency scale that the constants absorb.
 
-    The frequencies are weighed by the noise that the file states.
+    The frequencies are weighted by the noise that the file states.
 
-    model, constants, order : as of ``powers``
+    model, constants, order : as in ``powers``
     spread : unknown -> standard deviation of its prior, SI
     listed : (n_f,) numbers of the frequencies in the list; all of them if left out
     """
@@ -157,7 +156,7 @@ def absorbed(
     weighted = found.of_constants / noise[:, None]
     curvature = weighted.T @ weighted + np.diag(prior**-2.0)
     change = np.array(list(found.of_sizes.values())) / noise
-    # frequencies follow the true size, and the constants have taken up what the model lacks; what the
+    # frequencies follow the true size, and the constants have absorbed the error of the model; what the
     # analyser shows is no frequency of the plate: a scale too large shows as stiffer constants
     shift = -np.linalg.solve(curvature, weighted.T @ change.T).T
     left = change + shift @ weighted.T
@@ -165,10 +164,7 @@ def absorbed(
 
 
 def known_errors(specimen: Specimen) -> dict[str, float]:
-    """Relative standard deviations of the sizes, the mass or density, and the frequency scale.
-
-    Those that the file states, else the usual ones.
-    """
+    """Relative standard deviations, stated or usual, of sizes, mass or density, and frequency scale."""
     plate, measurement = specimen.plate, specimen.measurement
     sizes = plate.sizes
     known = {name: sd / sizes[name] for name, sd in plate.known_to.items()}
@@ -176,17 +172,16 @@ def known_errors(specimen: Specimen) -> dict[str, float]:
 
 
 def common_sd(specimen: Specimen) -> dict[str, float]:
-    """Relative standard deviations of all that errs in common: these numbers, and the theory."""
+    """Relative standard deviations of all common errors: of these numbers, and of the theory."""
     return {**known_errors(specimen), **common_theory_errors(specimen)}
 
 
 def common_errors(
     specimen: Specimen, model: PlateModel, constants: Mapping[str, float], order: Array
 ) -> dict[str, Array]:
-    """Relative errors of the frequencies, a standard deviation, by what they have in common, (n_f,) each.
+    """Relative errors (one standard deviation) of the frequencies by each common cause, (n_f,) each.
 
-    By name: sizes, mass or density, frequency scale and theory as they are known, to first order, as of
-    ``powers``.
+    By name: sizes, mass or density, frequency scale and theory, to first order, see ``powers``.
     The model is converged on a Ritz space.
     """
     found = powers(specimen, model, constants, order)
@@ -194,9 +189,9 @@ def common_errors(
     return {name: sd * found.of_sizes[name] for name, sd in common_sd(specimen).items()}
 
 
-# Error of the theory, relative, that is not made a parameter: what a frequency scale is usually known to.
+# Relative error of the theory that is not made a parameter: the usual accuracy of a frequency scale.
 _NEGLIGIBLE = 1e-4
-# Standard deviations that a number is looked at about its value.
+# Range of a number about its value, standard deviations.
 _REACH = 5.0
 
 
@@ -204,11 +199,11 @@ _REACH = 5.0
 class TolerantModel:
     """A model whose sizes, mass, scale and theory are known to a tolerance, f prod_k (s_k / s_k0)^P_k.
 
-    To first order in those that the file leaves open; what it states an sd of the model has as it is.
+    To first order in those for which the file states no sd; those with an sd are parameters of ``model``.
 
-    model : with these numbers as the file has them
+    model : with these numbers as in the file
     tolerances : the numbers, normal about their values
-    powers : (n_numbers, n_modes) P, as of ``powers``
+    powers : (n_numbers, n_modes) P, as in ``powers``
     """
 
     model: ForwardModel
@@ -217,7 +212,7 @@ class TolerantModel:
 
     @property
     def parameters(self) -> ParameterSet:
-        """Those of the model, then the numbers."""
+        """The parameters of the model, then the numbers."""
         return self.model.parameters.union(self.tolerances)
 
     def admissible(self, x: Array) -> Array:
@@ -236,7 +231,7 @@ class TolerantModel:
             slopes = np.concatenate((found.jacobian * factor[:, :, None], by_number), axis=2)
         if isinstance(self.model, LabelledModel):
             return Prediction(f, slopes)
-        # in ascending order, which close modes change with a size
+        # in ascending order, which may change for close modes with a size
         order = np.argsort(f, axis=1, kind="stable")
         f = np.take_along_axis(f, order, axis=1)
         return Prediction(
@@ -247,7 +242,7 @@ class TolerantModel:
 def tolerant(
     specimen: Specimen, model: ReducedModel, constants: Mapping[str, float], order: Array
 ) -> ForwardModel:
-    """A model with the usual tolerances of what the file leaves open.
+    """A model with the usual tolerances of the numbers for which the file states none.
 
     constants : unknown -> its value where powers are taken, SI
     order : (n_modes,) mode at each place of the predictions
@@ -272,9 +267,9 @@ def tolerant(
 
 
 def narrowed(model: ForwardModel, x: Array, tolerance: float) -> ForwardModel:
-    """A model on a basis that is made for parameter vectors x (m, n), to a relative error of a frequency.
+    """A model on a basis made for parameter vectors x (m, n), to a relative error of a frequency.
 
-    Itself where it has no basis, one that is as coarse already, or one to which modes were labelled.
+    Unchanged where it has no basis, one that is as coarse already, or one with labelled modes.
     """
     if isinstance(model, TolerantModel):
         within = x[:, : model.model.parameters.size]
@@ -294,12 +289,12 @@ _OF_LABORATORY = (FREQUENCY_SCALE, THEORY_SHEAR, THEORY_LEVEL)
 
 
 def common_covariance(lists: Sequence[tuple[str, int, Mapping[str, Array]]]) -> Array:
-    """Relative covariance of the frequencies of several lists by errors that they have in common, (n, n).
+    """Relative covariance of the frequencies of several lists due to their common errors, (n, n).
 
-    Sizes and mass are those of a specimen, common to its tests; the frequency scale, of one analyser, and
-    the theory are common to all lists.
+    Errors of sizes and mass are common to the tests of a specimen, those of the frequency scale (of one
+    analyser) and of the theory to all lists.
 
-    lists : specimen, number of frequencies, and errors by name, as of ``common_errors``
+    lists : specimen, number of frequencies, and errors by name, as in ``common_errors``
     """
     first = np.cumsum([0, *(size for _, size, _ in lists)])
     errors: dict[tuple[str, str], Array] = {}
@@ -312,7 +307,7 @@ def common_covariance(lists: Sequence[tuple[str, int, Mapping[str, Array]]]) -> 
 
 
 def number_of(cause: str, plate: Plate) -> str | None:
-    """The number of a plate file, or the frequency scale, that a cause is an error of; None for other causes.
+    """The number of a plate file, or the frequency scale, in which a cause is an error; else None.
 
     A plate that was weighed has a mass and no density of its own.
     """
@@ -324,7 +319,7 @@ def number_of(cause: str, plate: Plate) -> str | None:
 
 
 def sizes_spread(errors: tuple[ScaleError, ...], constant: str) -> float:
-    """Relative standard deviation of a constant by the standard deviations of [plate.sd] together."""
+    """Relative standard deviation of a constant due to all errors that intervals include."""
     return float(np.sqrt(sum((e.sd * e.shift[constant]) ** 2 for e in errors if e.sd is not None)))
 
 

@@ -1,6 +1,6 @@
-"""Identity of modes: by labels and by measured shapes at the reference constants (docs/mode_shapes.md).
+"""Identification of modes by labels or measured shapes at the reference constants (docs/mode_shapes.md).
 
-Elsewhere a mode is the one whose shape is most like it, by modal assurance, whatever its rank.
+At other constants a mode is the one with the highest modal assurance, whatever its rank.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ DEFAULT_MODES: Final = 10
 """Number of modes where none were measured."""
 
 
-# Square of the error of a shape, relative to its size, that is usual: a MAC of 0.98 with its own mode.
+# Usual square of the relative error of a shape: a MAC of 0.98 with its own mode.
 _USUAL_ERROR: Final = 0.02
-# Modal assurance below which a measured shape is rather no mode of the model.
+# Modal assurance below which a measured shape is more likely no mode of the model.
 _LEAST_ASSURANCE: Final = 0.3
-# Assignments less probable than the best by this factor are left out, and at most so many are kept.
+# Assignments less probable than the best by this factor are left out, and at most this many are kept.
 _NEGLIGIBLE, _MOST_KEPT = 1e-3, 64
-# Assignments of one group of shapes that are looked at, and what those kept must have of the probability.
+# Most assignments tried of one group of shapes, and the least probability of those kept.
 _MOST_TRIED, _LEAST_KEPT = 5000, 0.95
-# A mode of which the measured directions hold less than this of its square does not show.
+# A mode with less than this fraction of its square in the measured directions does not show.
 _VISIBLE: Final = 0.01
-# A mode that is as probable as this is the one, as a label would say.
+# A mode that is at least this probable is certain, as if labelled.
 _FIXED: Final = 0.999
 
 
@@ -46,10 +46,10 @@ class AmbiguousShapesError(ValueError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Assignment:
-    """One way of giving measured shapes to modes.
+    """One assignment of measured shapes to modes.
 
     modes : (n,) mode of each shape, -1 for none
-    log_probability : of it, among all that are kept
+    log_probability : among all assignments that are kept
     """
 
     modes: Array
@@ -58,11 +58,11 @@ class Assignment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShapePairing:
-    """Probabilities that each measured shape is each of k modes.
+    """Probabilities of k modes for each measured shape.
 
     assurance : (n, k) modal assurance
     candidates : (k,) the modes, at the reference constants
-    directions : effective number of independent shapes that the nodes tell apart
+    directions : effective number of independent shapes that the nodes resolve
     assignments : the most probable one first
     """
 
@@ -87,16 +87,15 @@ class ShapePairing:
 
     @property
     def fixed(self) -> Array:
-        """Shapes whose mode is certain, as if it were labelled, (n,) bool."""
+        """True for shapes whose mode is certain, as if labelled, (n,)."""
         return np.asarray(self.probability.max(axis=1) >= _FIXED)
 
 
 def modal_assurance(measured: MeasuredShapes, predicted: Array) -> Array:
     """MAC_ij = |phi_i^H psi_j|^2 / (phi_i^H phi_i  psi_j^H psi_j), (n, k).
 
-    Allemang, Sound and Vibration 37, 2003.
-    Directions in which no measured mode moves were not measured and are left out. A mode that hardly moves
-    in the others has 0 with every shape.
+    Allemang, Sound and Vibration 37, 2003. Directions in which no measured mode moves were not measured and
+    are left out. The MAC of a mode that hardly moves in the others is 0.
 
     predicted : (k, 3, n_nodes) u, v, w at the nodes
     """
@@ -112,16 +111,16 @@ def modal_assurance(measured: MeasuredShapes, predicted: Array) -> Array:
 def pair_by_assurance(
     measured: MeasuredShapes, predicted: Array, candidates: tuple[Mode, ...]
 ) -> ShapePairing:
-    """The probabilities of all one-to-one pairings of measured shapes with modes, by their assurance.
+    """Probabilities of all one-to-one pairings of measured shapes with modes, by their assurance.
 
     A measured shape is its mode's times a factor plus an error in each of d directions, of one unknown size
     that is usually sqrt(0.02) of the shape: a Student-t, with
     p(shape i | mode j) ~ (0.02 + 1 - MAC_ij)^(-d/2). d is one less than the effective number of shapes that
-    the nodes tell apart, (sum s^2)^2 / sum s^4 of the singular values s of the predicted shapes. A shape
-    whose assurance is below 0.3 with all modes is none of them.
+    the nodes resolve, (sum s^2)^2 / sum s^4 of the singular values s of the predicted shapes. A shape whose
+    assurance is below 0.3 with all modes is none of them.
 
     predicted : (k, 3, n_nodes) u, v, w of the candidates at the nodes
-    Raises ``AmbiguousShapesError`` where no few pairings hold the probability.
+    Raises ``AmbiguousShapesError`` where the probability is spread over too many pairings.
     """
     assurance = modal_assurance(measured, predicted)
     directions = _directions(predicted[:, measured.directions].reshape(len(predicted), -1))
@@ -155,7 +154,7 @@ def _directions(shapes: Array) -> float:
 
 
 def _most_probable(log_weight: Array, none: float) -> Array:
-    """The best one-to-one pairing, (n,), -1 where a shape is rather no mode."""
+    """The most probable one-to-one pairing, (n,), -1 where a shape is more likely no mode."""
     n, k = log_weight.shape
     _, column = scipy.optimize.linear_sum_assignment(
         np.hstack((log_weight, np.full((n, n), none))), maximize=True
@@ -164,13 +163,13 @@ def _most_probable(log_weight: Array, none: float) -> Array:
 
 
 def _near(log_weight: Array, modes: Array) -> Array:
-    """Modes that a shape could be: no less probable than its most probable one by the negligible factor."""
+    """True for modes that a shape may be: not negligibly probable beside its best one, (n, k)."""
     best = log_weight[np.arange(len(modes)), modes]
     return np.asarray(log_weight >= best[:, None] + np.log(_NEGLIGIBLE))
 
 
 def _groups(candidate: Array) -> list[Array]:
-    """Rows that share candidates, those with one candidate of their own left out."""
+    """Groups of rows that share candidates, without rows whose only candidate is their own."""
     touching = (candidate.astype(int) @ candidate.T.astype(int)) > 0
     groups, seen = [], np.zeros(len(candidate), dtype=bool)
     for i in range(len(candidate)):
@@ -188,7 +187,7 @@ def _groups(candidate: Array) -> list[Array]:
 
 
 def _assignments(log_weight: Array, candidate: Array, modes: Array) -> list[tuple[float, Array]]:
-    """One-to-one pairings of a group with their log weights over that of ``modes``, the best ones."""
+    """The best one-to-one pairings of a group, with their log weights relative to that of ``modes``."""
     n = len(modes)
     relative = np.where(candidate, log_weight - log_weight[np.arange(n), modes][:, None], -np.inf)
     top = relative.max(axis=1)
@@ -218,7 +217,7 @@ def _assignments(log_weight: Array, candidate: Array, modes: Array) -> list[tupl
 def _combined(
     kept: Sequence[tuple[float, Array]], found: Sequence[tuple[float, Array]], rows: Array
 ) -> tuple[list[tuple[float, Array]], float]:
-    """The best pairs of assignments of other rows and of these, and the log weight that is lost."""
+    """The best combinations of assignments of other rows and of these, and the log weight that is lost."""
     both = []
     for value, modes in kept:
         for added, of_rows in found:
@@ -235,20 +234,20 @@ def _combined(
 SPARE_MODES = 4
 # Probability of another mode from which a warning names it.
 _DOUBT = 0.01
-# Modal assurance below which none of the computed modes is the labelled one.
+# Modal assurance below which no computed mode is the labelled one.
 _LEAST_ASSURANCE_OF_LABELS = 0.1
 
 
 class LabelError(ValueError):
-    """A label of the plate file that names no mode of the model, or names one too often."""
+    """A label of the plate file that no mode has, or that is given to a wrong number of frequencies."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alternative:
     """One pairing of frequencies with modes.
 
-    places : (n_modes,) place in the predictions of the mode that stands at each place by this pairing
-    log_probability : of it, by the measured shapes
+    places : (n_modes,) place in the predictions of the mode that this pairing has at each place
+    log_probability : by the measured shapes
     """
 
     places: Array
@@ -257,10 +256,10 @@ class Alternative:
 
 @dataclass(frozen=True, slots=True)
 class LabelledModel(ReducedModel):
-    """A reduced model whose modes stand where the list of frequencies has them.
+    """A reduced model whose modes are in the order of the list of frequencies.
 
-    The mode of a labelled frequency stands at that frequency's own number, whatever its rank; the
-    others fill the other places in ascending order.
+    The mode of a labelled frequency is at that frequency's own number, whatever its rank; the others fill
+    the other places in ascending order.
 
     rows : (n_labels,) numbers of the labelled frequencies; of modes beyond the list, which may be those of
     some frequencies by their shapes, places after it.
@@ -268,7 +267,7 @@ class LabelledModel(ReducedModel):
     images : M psi of each reference shape psi in its block, with psi^T M psi = 1.
     weights : M of every block, at the reference.
     alternatives : where measured shapes are like several modes, all pairings with their probabilities.
-    by_shape : what measured shapes say, None where labels say it.
+    by_shape : the pairing by measured shapes, None where labels are used.
     """
 
     rows: Array
@@ -307,12 +306,12 @@ class LabelledModel(ReducedModel):
         order = np.empty((m, k), dtype=int)
         others = np.setdiff1d(np.arange(k), self.rows)
         order[:, others] = np.argsort(claimed, axis=1, kind="stable")[:, : len(others)]
-        # a labelled mode above all that are computed is no lower than the last of them
+        # a labelled mode above all computed ones is at least as high as the last of them
         order[:, self.rows] = np.where(owner >= 0, owner, k - 1)
         return order
 
     def _owners(self, spectrum: Spectrum) -> Array:
-        """The mode of each label, -1 where none is like it, (m, n_labels)."""
+        """The mode of each label, -1 where none is similar, (m, n_labels)."""
         assurance = self._assurance(spectrum)
         m, _, n_labels = assurance.shape
         owner = np.full((m, n_labels), -1)
@@ -342,11 +341,11 @@ class LabelledModel(ReducedModel):
 
 
 def labelled_model(model: ReducedModel, measurement: Measurement, specimen: Specimen) -> ReducedModel:
-    """The model with its modes in the places that the labels or the measured shapes of a list give them.
+    """The model with its modes in the places given by the labels or measured shapes of a list.
 
-    The model itself where neither is given. Raises ``LabelError`` for a label that no mode of
-    the model has at the reference constants, or that other numbers of frequencies and of modes bear, and
-    for shapes that are like no mode or do not tell modes apart.
+    The model itself where there are neither. Raises ``LabelError`` for a label that no mode of the model
+    has at the reference constants, or that different numbers of frequencies and modes have, and for shapes
+    that are like no mode or do not tell modes apart.
     """
     if not measurement.names_modes:
         return model
@@ -385,7 +384,7 @@ def labelled_model(model: ReducedModel, measurement: Measurement, specimen: Spec
 def paired_shapes(
     shapes: MeasuredShapes, predicted: Array, modes: tuple[Mode, ...], specimen: Specimen
 ) -> ShapePairing:
-    """That of measured and predicted shapes (k, 3, n_nodes), or ``LabelError``: they tell no modes apart."""
+    """The pairing of measured and predicted shapes (k, 3, n_nodes); ``LabelError`` where there is none."""
     where = f"{specimen.source}: measurement.shapes"
     try:
         pairing = pair_by_assurance(shapes, predicted, modes)
@@ -402,7 +401,7 @@ def paired_shapes(
 def _places(pairing: ShapePairing, n_modes: int) -> tuple[Array, Array, tuple[Alternative, ...]]:
     """Places and modes that are followed, and all pairings where there are several.
 
-    A mode that a frequency may have, but has not in the most probable pairing, stands after the list.
+    A mode that a frequency may have, but not in the most probable pairing, is placed after the list.
     """
     n, first = len(pairing.modes), pairing.modes
     rows = np.flatnonzero(first >= 0)
@@ -428,15 +427,12 @@ def list_order(model: ReducedModel, x: Array) -> Array:
 
 
 def by_shape(model: ReducedModel) -> ShapePairing | None:
-    """The pairing of measured shapes with those of a model, None without them."""
+    """The pairing of measured shapes with the modes of a model, None without them."""
     return model.by_shape if isinstance(model, LabelledModel) else None
 
 
 def spare_modes(measurement: Measurement) -> int:
-    """Modes to compute beyond the list: some where labelled ones may move up, none otherwise.
-
-    More beside shapes, which may be those of a part of the modes.
-    """
+    """Number of modes to compute beyond the list, as labelled ones may move up; more with shapes."""
     if measurement.shapes is not None:
         return SPARE_MODES + measurement.size // 4
     return SPARE_MODES if any(measurement.labels) else 0
@@ -445,10 +441,9 @@ def spare_modes(measurement: Measurement) -> int:
 def shape_notices(
     pairing: ShapePairing | None, measurement: Measurement, use: Literal["best", "all"] | None = None
 ) -> tuple[Notice, ...]:
-    """Measured shapes that are like no mode, and those that are like several.
+    """Notices of measured shapes that are like no mode, and of those that are like several.
 
-    use : what is made of a shape that is like several: its most probable pairing, or all by their
-        probability
+    use : of a shape that is like several, its most probable pairing, or all by their probability
     """
     if pairing is None:
         return ()
@@ -490,7 +485,7 @@ def modes_of_labels(labels: Sequence[str], modes: Sequence[Mode]) -> dict[int, i
 
 
 def label_notices(measurement: Measurement, modes: Sequence[Mode]) -> tuple[Notice, ...]:
-    """Labels of a list that none of the modes has."""
+    """A notice of the labels of a list that none of the modes has."""
     known = modes_of_labels(measurement.labels, modes)
     lost = tuple(
         (label, float(f))
@@ -529,7 +524,7 @@ def _count(n: int, what: str) -> str:
 
 
 def measured_modes(specimen: Specimen) -> int:
-    """As many modes as were measured, some more beside measured shapes, or 10."""
+    """Number of modes measured, plus some more with measured shapes; 10 without a measurement."""
     measurement = specimen.measurement
     if measurement is None:
         return DEFAULT_MODES
@@ -549,9 +544,9 @@ def measured_of_modes(
 ) -> list[MeasuredFrequency | None]:
     """The measured frequency of every mode, by shape or label, the others in order.
 
-    Those of a list with gaps stand beside a mode by shape or label alone.
+    Those of an incomplete list are beside a mode only by shape or label.
 
-    by_shape : what measured shapes say of these modes; where this is not known, they are beside none
+    by_shape : the pairing by measured shapes; without it, shapes are beside no mode
     """
     found: list[MeasuredFrequency | None] = [None] * len(modes)
     measurement = specimen.measurement

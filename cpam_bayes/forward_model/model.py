@@ -1,4 +1,4 @@
-"""From parameters to predicted frequencies: the forward model of a plate, and what air would change."""
+"""The forward model of a plate, from parameters to frequencies, and the effect of air."""
 
 from __future__ import annotations
 
@@ -39,22 +39,22 @@ ASSUMED_SD: Final[Mapping[MaterialSymmetry, float]] = {
     "orthotropic": 0.4,
 }
 """Standard deviation of the logarithm of a reference constant where [material.sd] leaves it out."""
-# A log-normal prior begins here, of its median; [unknowns] may have bounds at zero and below.
+# Lower end of a log-normal prior, as a fraction of its median; [unknowns] may have bounds at zero and below.
 _LEAST_OF_REFERENCE = 1e-3
-# The bounds of a constant have to reach this near its reference, standard deviations.
+# The bounds of a constant must reach this close to its reference, standard deviations.
 _REACH = 4.0
-# A size varies within this many standard deviations and within these factors of its value.
+# A size varies within this many standard deviations and within this factor of its value.
 _SIZE_RANGE, _SIZE_FACTOR = 5.0, 4.0
-# Points of a shape along each side.
+# Points along each side for a shape.
 _SHAPE_POINTS = 31
-# Step of the complex-step derivative, relative to a parameter: any small number does, no digits go.
+# Step of the complex-step derivative, relative to a parameter: any small number will do, no digits are lost.
 _STEP = 1e-25
-# A space is converged at so many sets of constants this far from the centre, as a fraction, and at so many
-# all over the prior box.
+# A space is converged at this many sets of constants up to this far from the centre, as a fraction, and at
+# this many all over the prior box.
 _NEAR_SETS, _NEIGHBOURHOOD, _FAR_SETS = 2, 0.3, 3
-# Angles that unknown plies take in turn, beside those drawn from the prior.
+# Patterns of angles for unknown plies, beside those drawn from the prior.
 _SPECIAL_DEG = ((0.0,), (90.0,), (0.0, 90.0), (45.0, -45.0))
-# Elsewhere in the prior box its error may be this many times larger.
+# Elsewhere in the prior box the error may be this many times larger.
 _FAR_ALLOWANCE = 20.0
 
 
@@ -65,15 +65,14 @@ def angle_parameters(specimen: Specimen) -> ParameterSet:
 
 
 def constant_parameters(specimen: Specimen, cut: float = np.inf) -> ParameterSet:
-    """The unknown constants with the prior of all verbs: the bounds of [unknowns] times the references.
+    """The unknown constants with the prior of all verbs: bounds of [unknowns] times densities of references.
 
-    A reference with a standard deviation is normal, cut at its bounds and at ``cut`` standard deviations.
-    Without one it is log-normal, `ASSUMED_SD` wide, where it lies within its bounds. A normal prior of
-    [unknowns] stays, as do bounds without a reference and with ``known = false`` under [material].
+    A reference with a standard deviation is normal, truncated at its bounds and at ``cut`` standard
+    deviations. Without one it is log-normal, `ASSUMED_SD` wide, where it lies within its bounds. A normal
+    prior of [unknowns] is kept, as are bounds without a reference or with ``known = false`` under
+    [material], and the posterior of a former plate.
 
-    A posterior of a former plate stays too.
-
-    Raises ``ValueError`` where the bounds leave nothing of a reference with a standard deviation.
+    Raises ``ValueError`` where a reference with a standard deviation is far outside the bounds.
     """
     known = specimen.unknowns
     unknowns = [
@@ -89,7 +88,7 @@ def with_references(specimen: Specimen) -> Specimen:
 
 
 def assumed_spreads(specimen: Specimen) -> dict[str, float]:
-    """Unknowns whose references count with an assumed spread, as of `constant_parameters` -> that spread."""
+    """Unknowns whose references have an assumed spread, see `constant_parameters` -> that spread."""
     spreads = {}
     for parameter in specimen.unknowns.parameters:
         prior, (of, name) = parameter.prior, split_name(parameter.name)
@@ -122,7 +121,7 @@ def _about_reference(parameter: Parameter, specimen: Specimen, cut: float) -> Pr
 def size_parameters(specimen: Specimen) -> ParameterSet:
     """Sizes, density and mass of a specimen that are known to a standard deviation, SI, with normal priors.
 
-    Cut at five standard deviations, and at a quarter and four times the value of the plate file.
+    Truncated at five standard deviations, and at a quarter and four times the value of the plate file.
     """
     plate = specimen.plate
     parameters = []
@@ -138,7 +137,7 @@ def size_parameters(specimen: Specimen) -> ParameterSet:
 def reference_vector(specimen: Specimen, parameters: ParameterSet) -> Array:
     """Reference constants and sizes of the plate file as a vector (n,), moved into their bounds.
 
-    Parameters that are neither, unknown angles for instance, take the mean of their prior.
+    Other parameters, such as unknown angles, take the mean of their prior.
     """
     known = {**reference_constants(specimen), **_given_sizes(specimen)}
     x = np.array([known.get(p.name, p.prior.mean) for p in parameters.parameters])
@@ -151,7 +150,7 @@ def _given_sizes(specimen: Specimen) -> dict[str, float]:
 
 
 def varied_sizes(plate: Plate, values: Values) -> dict[str, Any]:
-    """Length, width, thickness and density that differ from the plate file's, by name.
+    """Length, width, thickness and density that vary, by name.
 
     Where the file gives the mass, the density follows from it and the sizes.
     """
@@ -176,7 +175,7 @@ def plate_problem(
     """The plate of a specimen as an eigenvalue problem in some of its constants, angles and sizes.
 
     parameters : what varies; other constants keep their reference value, and those that are not given follow
-    by the material's symmetry. Known masses keep their place in proportion where a size varies.
+    from the material's symmetry. Known masses keep their relative place where a size varies.
 
     Raises ``ValueError`` if an unknown angle of the layup is not among the parameters.
     """
@@ -238,7 +237,7 @@ class Prediction:
 
 
 class ForwardModel(Protocol):
-    """What a density asks of a plate."""
+    """The protocol that a plate model offers to a density."""
 
     @property
     def parameters(self) -> ParameterSet:
@@ -259,7 +258,7 @@ class PlateModel:
     """A converged plate: parameter vectors in, frequencies out.
 
     error : (n_modes,) estimated relative error of each frequency.
-    basis : the trial functions as ``converge`` chose them, for those who store a model; ``None`` for other
+    basis : the trial functions chosen by ``converge``, by which a model can be stored; ``None`` for other
     operators.
     """
 
@@ -275,7 +274,7 @@ class PlateModel:
 
     @property
     def bias(self) -> Bias:
-        """That of the theory, in the frequencies that are predicted."""
+        """The bias of the theory, included in the predicted frequencies."""
         return self.operator.problem.bias
 
     def admissible(self, x: Array) -> Array:
@@ -331,9 +330,9 @@ class PlateModel:
         return self._with_derivatives(x)[1]
 
     def _with_derivatives(self, x: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Coefficients of K and M at parameter vectors (m, n), as of ``coefficients``, and their derivatives.
+        """``coefficients`` of K and M at parameter vectors (m, n), and their derivatives.
 
-        The plate's numbers are derived by complex step, the laminate's stiffness in closed form.
+        The derivatives are by complex step, for the laminate's stiffness in closed form.
         """
         m, n = x.shape
         if not n:
@@ -349,7 +348,7 @@ class PlateModel:
 
 
 def biased(prediction: Prediction, bias: Bias) -> Prediction:
-    """The prediction of the theory with its bias."""
+    """A prediction of the theory with its bias added."""
     f, slopes = prediction.frequencies, prediction.jacobian
     if not bias:
         return prediction
@@ -372,14 +371,14 @@ def training_sets(problem: Problem, n: int, rng: np.random.Generator) -> Array:
     return sets[:n]
 
 
-# Least range, relative, over which coefficients show which of them depend on each other.
+# Least relative range over which coefficients show their dependence on each other.
 _RELATED = 0.2
 
 
 def spread_out(problem: Problem, x: Array) -> Array:
     """Parameter vectors (m, n) spread where the prior box is narrow, so that coefficients show relations.
 
-    Over a side known to 0.1 % all its powers are one to nearly all digits.
+    Over the range of a side known to 0.1 % its powers are equal to nearly all digits.
     """
     parameters = problem.parameters
     middle, half = 0.5 * (parameters.upper + parameters.lower), 0.5 * (parameters.upper - parameters.lower)
@@ -388,7 +387,7 @@ def spread_out(problem: Problem, x: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """Parameter vectors (m, n_parameters) that tell a discretisation what it will be asked.
+    """Parameter vectors (m, n_parameters) that represent the range of a discretisation's use.
 
     allowance : (m,) factors by which the error may exceed the tolerance there.
     """
@@ -401,7 +400,7 @@ def convergence_samples(specimen: Specimen, problem: Problem, centre: Array | No
     """A centre, neighbours within 30 % of its constants, and sets all over the prior box.
 
     centre : (n_parameters,), by default the reference constants. Far from it the space need only be good
-    enough to tell that the data lie elsewhere. The seed is fixed, so that a model does not depend on the run
+    enough to show that the data lie elsewhere. The seed is fixed, so that a model does not depend on the run
     that first needs it. Unknown angles are also taken at 0, 90, both, and 45 and -45 deg, where free edges
     are hardest.
     """
@@ -471,7 +470,7 @@ def model_on_basis(
 ) -> PlateModel:
     """The model that ``converged_model`` found before, from its basis and error.
 
-    samples : (m, n_parameters), where the symmetries of the problem are read off.
+    samples : (m, n_parameters), from which the symmetries of the problem are determined.
     """
     settings, keep = basis
     space = ritz_space(problem.edges, problem.nominal, settings).restricted(keep)
@@ -482,7 +481,7 @@ def model_on_basis(
 def discretisation_error(model: PlateModel, x: Array) -> Array:
     """Estimated relative error of the frequencies of a model at one parameter vector, (n_modes,).
 
-    Against those of a space converged at this very place, plus the error of that space.
+    Relative to a space converged at this very vector, plus the error of that space.
     """
     x = np.atleast_2d(x)
     problem = model.operator.problem
@@ -494,7 +493,7 @@ def discretisation_error(model: PlateModel, x: Array) -> Array:
 ROOM_AIR = 1.2
 """Density of the air of a room, kg/m3."""
 
-# The ratio of two frequencies on one space is exact to 1e-4 of itself long before they are.
+# The ratio of two frequencies on one space is accurate to 1e-4 long before they are.
 _SETTINGS = RitzSettings(9, 9)
 # Modes for which the effect of air is computed where no measurement says how many there are.
 _MODES = 6
@@ -504,9 +503,9 @@ _MODES = 6
 def air_shifts(specimen: Specimen) -> Array | None:
     """Relative changes of the lowest frequencies, f_air / f_vacuum - 1, (n_modes,).
 
-    At the reference constants, in air of 1.2 kg/m3, for as many modes as were measured. None
-    where air is in the model already, for a mesh from a file, for unknown angles, and where bending cannot
-    be distinguished from rounding.
+    At the reference constants, in air of 1.2 kg/m3, for as many modes as were measured. None where the
+    model includes air already, for a mesh from a file, for unknown angles, and where bending cannot be
+    distinguished from rounding.
     """
     if specimen.air_density or specimen.plate.mesh is not None or specimen.plate.layup.n_unknown:
         return None
@@ -516,7 +515,7 @@ def air_shifts(specimen: Specimen) -> Array | None:
     problem = add_air(bare, ROOM_AIR)
     operator = discretise(problem, ritz_space(problem.edges, problem.nominal, _SETTINGS), {})
     stiffness, in_air = operator.coefficients({})
-    # The mass of the air is the last of the terms.
+    # The last term is the mass of the air.
     in_vacuum = np.where(np.arange(in_air.shape[-1]) < mass_terms, in_air, 0.0)
     try:
         air, vacuum = (solve(operator, stiffness, m, n_modes).frequencies[0] for m in (in_air, in_vacuum))

@@ -1,4 +1,4 @@
-"""Checks of a plate file against what can be computed or believed: refused, or warned of, with a cure."""
+"""Checks of a plate file for what cannot be computed or believed: errors or warnings, with advice."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LARGE_ERROR: Final = 1e-3
 """Relative error of the solver from which it is no longer small, where the noise is not known."""
 
 MAX_MODES = 100
-"""Modes of a plate that are computed at most."""
+"""Largest number of modes of a plate that are computed."""
 
 SUSPICIOUS_RATIO = 3.0
 """Prediction over measurement beyond which a unit in the plate file is suspected."""
@@ -36,7 +36,7 @@ SUSPICIOUS_RATIO = 3.0
 # Longer side over thickness from which a failure is blamed on the thickness.
 _THIN = 300.0
 
-# Prediction over measurement -> the slips that make it so. A frequency goes as h / sqrt(density) or, of a
+# Prediction over measurement -> the slips that cause it. A frequency goes as h / sqrt(density) or, of a
 # plate that was weighed, as h sqrt(h / mass).
 _CURES: Final = (
     (1000.0, "frequencies in kHz for Hz, or sizes in m for mm"),
@@ -63,7 +63,7 @@ _CURES_WHEN_WEIGHED: Final = (
     ),
     (1.0 / 1000.0, "frequencies in mHz for Hz"),
 )
-# How far from it a ratio may be.
+# Factor by which a ratio may differ from these.
 _NEAR = 1.35
 
 
@@ -77,8 +77,8 @@ def require_supported(
 ) -> Specimen:
     """Return the specimen, or raise `PlateFileError` with all that cannot be computed yet.
 
-    no_mesh : what to say to a plate with a mesh, None where meshes are computed.
-    no_air : what to say to air in the plate file, None where it is part of the model.
+    no_mesh : message for a plate with a mesh, None where meshes are computed.
+    no_air : message for air in the plate file, None where it is part of the model.
     angles : whether some may be unknown, if the list has no labels.
     """
     problems = _not_computed(specimen, no_mesh, no_air)
@@ -88,7 +88,7 @@ def require_supported(
 
 
 def require_diagnosable(specimen: Specimen) -> Specimen:
-    """Return the specimen, or raise `PlateFileError` if what is wrong with it cannot be asked for."""
+    """Return the specimen, or raise `PlateFileError` if it cannot be diagnosed."""
     problems = [*_not_computed(specimen, rectangular_only("diagnose")), *_unknown_angles(specimen)]
     if specimen.measurement is None:
         problems.append("[measurement] is missing, nothing to be compared with the model")
@@ -99,7 +99,7 @@ def require_diagnosable(specimen: Specimen) -> Specimen:
 
 
 def require_sequence(specimen: Specimen) -> Specimen:
-    """Return the specimen, or raise `PlateFileError` if its sequence cannot be asked for."""
+    """Return the specimen, or raise `PlateFileError` if its stacking sequence cannot be sought."""
     problems = _not_computed(specimen, rectangular_only("sequence"))
     if not specimen.plate.layup.n_unknown:
         problems.append(
@@ -128,7 +128,7 @@ def _not_computed(specimen: Specimen, no_mesh: str | None, no_air: str | None = 
 
 
 def _angles_asked(specimen: Specimen) -> list[str]:
-    """Why unknown angles cannot be asked for, if there are some."""
+    """Reasons why unknown angles cannot be identified, if there are some."""
     layup, measurement = specimen.plate.layup, specimen.measurement
     problems: list[str] = []
     if layup.n_unknown and specimen.material.isotropic:
@@ -175,7 +175,7 @@ def require_paired_list(specimen: Specimen) -> Specimen:
 
 
 def exchange_notices(specimen: Specimen) -> tuple[Notice, ...]:
-    """A notice where no frequency tells the two axes of orthotropic plies apart.
+    """A notice where the frequencies cannot tell the two axes of orthotropic plies apart.
 
     Their angles are unknown, or the plate is square with four equal edges.
     """
@@ -194,7 +194,7 @@ def exchange_notices(specimen: Specimen) -> tuple[Notice, ...]:
 
 
 def _exchangeable(name: str, material: Material, unknowns: ParameterSet) -> bool:
-    """Whether the two axes of a material can change places within the bounds."""
+    """Whether the two axes of a material can be exchanged within the bounds."""
     e1, e2, nu12 = (joined_name(name, constant) for constant in ("E1", "E2", "nu12"))
     if material.symmetry != "orthotropic" or not {e1, e2, nu12} <= set(unknowns.names):
         return False
@@ -203,13 +203,13 @@ def _exchangeable(name: str, material: Material, unknowns: ParameterSet) -> bool
 
 
 def require_choice(name: str, value: object, accepted: Sequence[str]) -> None:
-    """Raise ``ValueError`` where an argument is none of the words that are accepted."""
+    """Raise ``ValueError`` where an argument is none of the accepted words."""
     if value not in accepted:
         raise ValueError(f"{name}: received {value!r}, accepted: {' '.join(accepted)}")
 
 
 def require_whole(name: str, value: object, low: int, high: int) -> None:
-    """Raise ``ValueError`` where an argument is no whole number from ``low`` to ``high``."""
+    """Raise ``ValueError`` where an argument is not a whole number from ``low`` to ``high``."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or not low <= value <= high:
         raise ValueError(f"{name}: received {value!r}, accepted: a whole number from {low} to {high}")
 
@@ -220,13 +220,13 @@ def require_seed(seed: object) -> None:
 
 
 def require_modes(n_modes: object) -> None:
-    """Raise ``ValueError`` where a number of modes is given that is not computed."""
+    """Raise ``ValueError`` where a number of modes is given that cannot be computed."""
     if n_modes is not None:
         require_whole("n_modes", n_modes, 1, MAX_MODES)
 
 
 def require_number(name: str, value: object, most: float) -> None:
-    """Raise ``ValueError`` where an argument is no number above 0 and at most ``most``."""
+    """Raise ``ValueError`` where an argument is not a number above 0 and at most ``most``."""
     real = isinstance(value, int | float | np.number) and not isinstance(value, bool)
     if not (real and 0.0 < float(value) <= most):  # type: ignore[arg-type]
         raise ValueError(f"{name}: received {value!r}, accepted: a number above 0 and at most {most:g}")
@@ -234,7 +234,7 @@ def require_number(name: str, value: object, most: float) -> None:
 
 @contextmanager
 def explained_failures(specimen: Specimen) -> Iterator[None]:
-    """A `PlateFileError` with what a user can do in place of the solver's ``RigidBodyError``."""
+    """Raise a `PlateFileError` with advice in place of the solver's ``RigidBodyError``."""
     try:
         yield
     except RigidBodyError as error:
@@ -242,7 +242,7 @@ def explained_failures(specimen: Specimen) -> Iterator[None]:
 
 
 def likely_cure(ratio: float, *, weighed: bool) -> str:
-    """The slip of units that makes predicted frequencies so many times the measured ones.
+    """Advice on the slip of units that makes predicted frequencies ``ratio`` times the measured ones.
 
     weighed : whether the plate file has a mass, and the density follows from it
     """
@@ -257,9 +257,9 @@ def likely_cure(ratio: float, *, weighed: bool) -> str:
 
 
 def units_notices(ratio: Array, plate: Plate, severity: Severity = "warning") -> tuple[Notice, ...]:
-    """A notice where a predicted frequency is not even of the size of the measured one.
+    """A notice where a predicted frequency is not even of the order of the measured one.
 
-    None of a plate whose stated numbers disagree, which is reason enough.
+    None for a plate whose stated numbers disagree, which is reason enough.
 
     ratio : predicted over measured frequencies
     """
@@ -289,24 +289,24 @@ def _raise(specimen: Specimen, problems: list[str]) -> None:
         raise PlateFileError(*(f"{specimen.source}: {problem}" for problem in problems))
 
 
-# A list this many times outside what the bounds reach is refused; one that may lack its first modes, or
-# whose labels say which modes it holds, only where it is further away.
+# A list this many times outside the reach of the bounds is refused; one that may lack its first modes, or
+# whose labels identify its modes, only where it is further away.
 _UNREACHABLE, _UNREACHABLE_WITH_GAPS = 3.0, 30.0
-# A first frequency so many times below the lowest within the bounds is none of the plate; of unknown angles,
-# which have bounds of their own, only the lowest of one layup is known.
+# A first frequency this many times below the lowest within the bounds is not of the plate; with unknown
+# angles, which have bounds of their own, only the lowest of one layup is known.
 _BELOW_ALL, _BELOW_ALL_OF_UNKNOWN_ANGLES = 3.0, 10.0
-# Frequencies to a few percent, which is plenty here.
+# Frequencies to a few per cent, which is ample here.
 _SETTINGS: Final = RitzSettings(9, 9)
 
 
 @single_blas_thread
 def require_reachable(specimen: Specimen) -> Specimen:
-    """Return the specimen, or raise `PlateFileError` if no constants come near its frequencies, or the first.
+    """Return the specimen, or raise `PlateFileError` if no constants come near its (first) frequencies.
 
-    Compared are the medians over the list of the logarithms of measured and predicted frequencies, these
-    with all unknown moduli at their lower bounds and at their upper ones. Not asked of a mesh, and where
-    bending cannot be told from rounding, which others say. A plate whose thickness, mass and density disagree
-    is refused for that.
+    The median over the list of the logarithm of measured over predicted frequencies is checked, with all
+    unknown moduli at their lower bounds and at their upper ones. Not for a mesh, nor where bending cannot be
+    told from rounding, which is reported elsewhere. A plate whose thickness, mass and density disagree is
+    refused for that.
     """
     measurement = specimen.measurement
     if measurement is None or specimen.plate.mesh is not None:
@@ -338,7 +338,7 @@ def require_reachable(specimen: Specimen) -> Specimen:
 
 
 def _require_no_motion_of_the_support(specimen: Specimen, lowest: float) -> None:
-    """Raise `LowFrequencyError` for ones far below the lowest, Hz, with all moduli at their lower bounds."""
+    """Raise `LowFrequencyError` for frequencies far below ``lowest``, Hz, that at the lower bounds."""
     assert specimen.measurement is not None
     f = specimen.measurement.frequencies
     unknown = bool(specimen.plate.layup.n_unknown)
@@ -366,7 +366,7 @@ def _require_no_motion_of_the_support(specimen: Specimen, lowest: float) -> None
 
 
 def _disagreement(specimen: Specimen) -> PlateFileError:
-    """The refusal of frequencies beyond reach where the plate's thickness, mass and density disagree."""
+    """The error for frequencies out of reach where the plate's thickness, mass and density disagree."""
     plate = specimen.plate
     assert plate.thicknesses is not None
     gauged, by_mass, taken = (
@@ -405,24 +405,24 @@ def _frequencies(specimen: Specimen, constants: dict[str, float], n: int) -> Arr
 USUAL_NOISE: Final = 0.01
 """Relative noise of a tap test: usual up to here, high above."""
 HIGH_MISFIT: Final = 0.03
-"""Relative misfit above which a list does not belong to its plate model: no tap test scatters so."""
+"""Relative misfit above which a list does not belong to its plate model: no tap test scatters so much."""
 
-# Lists of several plates that differ by no more than this everywhere are most likely one measurement.
+# Lists of several plates that differ nowhere by more than this are most likely one measurement.
 _EQUAL = 2e-3
-# Probability of a misfit, by noise as stated, below which it is no accident.
+# p-value of a misfit, with the stated noise, below which noise does not explain it.
 _UNEXPLAINED = 1e-3
-# Standard deviations of [material.sd] from which a modulus is no batch of its material any more.
+# Standard deviations of [material.sd] beyond which a modulus is not that of a batch of its material.
 _FAR_SD = 3.0
-# Moduli whose ratios to their references differ by no more than this factor have one ratio in common.
+# Moduli whose ratios to their references differ by no more than this factor share one ratio.
 _COMMON = 1.3
-# Standard deviations between a constant and what was known of it that no plate of the material has.
+# Standard deviations of a constant from its prior beyond which it contradicts it.
 _CONTRADICTED_SD = 5.0
-# Codes of the notices that the plate model does not describe the frequencies.
+# Codes of the notices which say that the plate model does not describe the frequencies.
 _CONTRADICTING: Final = frozenset({"large_misfit", "misfit_over_noise", "no_sequence_explains"})
 
 
 def reference_slips(specimen: Specimen) -> tuple[Notice, ...]:
-    """Reference constants outside their own bounds."""
+    """A notice of reference constants outside their own bounds."""
     reference, unknowns = reference_constants(specimen), specimen.unknowns
     outside = tuple(
         (name, reference[name], unknowns[name].prior.lower, unknowns[name].prior.upper)
@@ -434,29 +434,29 @@ def reference_slips(specimen: Specimen) -> tuple[Notice, ...]:
 
 
 def count_slips(n_frequencies: int, n_unknowns: int) -> tuple[Notice, ...]:
-    """Fewer frequencies than unknowns."""
+    """A notice of fewer frequencies than unknowns."""
     if n_frequencies >= n_unknowns:
         return ()
     return (Notice("few_frequencies", "slip", {"frequencies": n_frequencies, "unknowns": n_unknowns}),)
 
 
 def count_notices(n_frequencies: int, n_unknowns: int) -> tuple[Notice, ...]:
-    """As many frequencies as unknowns, so that none is left over to judge the fit."""
+    """A notice of as many frequencies as unknowns, so that none is left over to judge the fit."""
     return (Notice("no_frequency_over", facts={"count": n_unknowns}),) if n_frequencies == n_unknowns else ()
 
 
 def misfit_slips(level: float) -> tuple[Notice, ...]:
-    """A misfit that no tap test makes; level : inferred noise, or rms residual where the noise is stated."""
+    """A notice of a misfit beyond any tap test; level : inferred noise, or rms residual with stated noise."""
     return (Notice("large_misfit", "slip", {"misfit": level}),) if level > HIGH_MISFIT else ()
 
 
 def high_noise_notices(level: float) -> tuple[Notice, ...]:
-    """An inferred noise, relative, above that of a usual tap test."""
+    """A notice of an inferred relative noise above that of a usual tap test."""
     return (Notice("high_noise", facts={"noise": level}),) if level > USUAL_NOISE else ()
 
 
 def misfit_over_noise(measurement: Measurement, residuals: Array, n_fitted: int) -> float:
-    """The misfit in times of the stated noise by `birge_ratio`; 1 where no noise is stated.
+    """The misfit as a multiple of the stated noise by `birge_ratio`; 1 where no noise is stated.
 
     residuals : (n,) predicted / measured - 1, nan where a frequency belongs to no mode. n_fitted : constants.
     """
@@ -469,7 +469,7 @@ def misfit_over_noise(measurement: Measurement, residuals: Array, n_fitted: int)
 
 
 def birge_ratio(standardised: Array, n_fitted: int) -> float:
-    """A misfit in times of the noise, 1 where the noise explains it or no frequency is left over to tell.
+    """A misfit as a multiple of the noise, 1 where the noise explains it or no frequency is left over.
 
     The root of chi-squared over its degrees of freedom (Birge, Phys. Rev. 40, 1932), where that is exceeded
     with a probability below 0.001.
@@ -485,7 +485,7 @@ def birge_ratio(standardised: Array, n_fitted: int) -> float:
 
 
 def noise_slips(measurement: Measurement, residuals: Array, n_fitted: int) -> tuple[Notice, ...]:
-    """A misfit that noise as stated does not explain; arguments as of `misfit_over_noise`."""
+    """A notice of a misfit that the stated noise does not explain; arguments as for `misfit_over_noise`."""
     times = misfit_over_noise(measurement, residuals, n_fitted)
     return () if times == 1.0 else (Notice("misfit_over_noise", "slip", {"times": times}),)
 
@@ -501,7 +501,7 @@ def disagrees(plate: Plate) -> bool:
 
 
 def stated_slips(specimen: Specimen) -> tuple[Notice, ...]:
-    """What a file states and cannot be: thickness, mass and density that disagree, a noise of no tap test."""
+    """Notices of impossible statements: thickness, mass and density that disagree, too much noise."""
     found, plate = list[Notice](), specimen.plate
     if plate.thicknesses is not None and disagrees(plate):
         gauged, by_mass = plate.thicknesses
@@ -514,7 +514,7 @@ def stated_slips(specimen: Specimen) -> tuple[Notice, ...]:
 
 
 def _noise_slips(measurement: Measurement) -> Iterator[Notice]:
-    """A stated noise that no tap test has: per cent written as a fraction, most likely."""
+    """A notice of a stated noise beyond any tap test: most likely per cent written as a fraction."""
     if measurement.frequency_sd is not None:
         relative = measurement.frequency_sd / measurement.frequencies
         at, level = int(np.argmax(relative)), float(np.mean(relative))
@@ -531,10 +531,10 @@ def _noise_slips(measurement: Measurement) -> Iterator[Notice]:
 def common_factor_slips(
     specimen: Specimen, estimates: Mapping[str, tuple[float, float]]
 ) -> tuple[Notice, ...]:
-    """All moduli far on one side of their references: a wrong size, mass or frequency scale, most likely.
+    """A notice of all moduli far on one side of their references: most likely a wrong size, mass or scale.
 
-    Of a thin plate f^2 is proportional to E h^2 / rho, or E h^3 / m. Nothing is said of a plate whose stated
-    numbers disagree: one of them is wrong.
+    For a thin plate f^2 is proportional to E h^2 / rho, or E h^3 / m. None for a plate whose stated numbers
+    disagree: one of them is wrong.
 
     estimates : modulus that the frequencies determine -> its estimate and standard deviation, Pa, without its
     reference as prior
@@ -563,9 +563,9 @@ def common_factor_slips(
 def reference_contradictions(
     specimen: Specimen, determined: Mapping[str, tuple[float, float]], answer: Iterable[Constant]
 ) -> tuple[Notice, ...]:
-    """`common_factor_slips`, or else constants that contradict their priors, which distort the others.
+    """`common_factor_slips`, or else a notice of constants that contradict their priors and distort others.
 
-    determined : as there. answer : all constants, and what else was sought
+    determined : its ``estimates``. answer : all constants, and other unknowns
     """
     if common := common_factor_slips(specimen, determined):
         return common
@@ -580,7 +580,7 @@ def reference_contradictions(
 
 
 def equal_list_slips(specimens: Sequence[Specimen]) -> tuple[Notice, ...]:
-    """Plates whose lists are so nearly equal that they are most likely one measurement."""
+    """Notices of plates whose lists are so nearly equal that they are most likely one measurement."""
     slips = []
     for i, first in enumerate(specimens):
         for second in specimens[i + 1 :]:

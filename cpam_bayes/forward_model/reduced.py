@@ -1,7 +1,7 @@
-"""A reduced model of a plate: principal directions of the modes of a few full solves.
+"""Reduced models of a plate, on principal directions of the modes of a few full solves.
 
-Projection leaves the affine sum as it is, only smaller, so a stack of parameter sets is solved at once. On
-the part of the prior box where a posterior lies fewer directions say as much.
+Projection keeps the affine sum, only smaller, so that a stack of parameter sets is solved at once. In the
+part of the prior box where a posterior lies, fewer directions suffice.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from cpam_bayes.plate.edges import FIELDS
 
 @dataclass(frozen=True, slots=True)
 class ReductionSettings:
-    """How a reduced model is built.
+    """Settings of a reduced model.
 
-    tolerance : relative error of a frequency allowed at the parameter sets that the basis is made from.
+    tolerance : relative error of a frequency allowed at the parameter sets from which the basis is made.
     training, checks : numbers of sets that are solved in the full space, and of fresh ones in a round.
     rounds : how often at most those with a larger error join the training.
     """
@@ -44,9 +44,9 @@ DEFAULT_SETTINGS = ReductionSettings()
 class ReducedModel:
     """A plate on a small basis: parameter vectors in, frequencies out.
 
-    full : the plate that it was made from.
+    full : the plate from which it was made.
     fast : the projected operator.
-    tolerance : relative error of a frequency that the basis was made to.
+    tolerance : relative error of a frequency to which the basis was made.
     """
 
     full: PlateModel
@@ -74,28 +74,29 @@ class ReducedModel:
 
 # Parameter sets that show the linear relations between the coefficients.
 _RELATIONS = 160
-# Modes of a block that are kept above those predicted, and to which fraction of their distance from these.
+# Modes of a block kept above those predicted; their allowed error, as a fraction of their distance from
+# these, and its maximum.
 _FURTHER, _ABOVE, _MOST_ABOVE = 1, 0.3, 0.1
-# The same of a wide basis: what a change of the plate makes of a mode is a sum of those above it.
+# The same for a wide basis: a change of the plate adds modes above it to a mode.
 _FURTHER_OF_WIDE = 10
 # First step in the search for the number of directions; modes whose sets decide it.
 _FIRST_STEP, _HARDEST = 6, 12
 # Parameter sets above which the diagonal masses of a block pay.
 _MANY = 40
-# Blocks up to this size take as long together as one of them.
+# Blocks up to this size take as long together as one of them alone.
 _TINY = 5
 # Entries of a stack of matrices that are held at once.
 _ENTRIES = 4_000_000
-# Columns over rows up to which their principal directions are singular vectors.
+# Columns over rows up to which their principal directions are found by singular values.
 _FEW_COLUMNS = 0.25
 # Parameter sets at which rigid-body motions are computed: they depend on sizes alone.
 _RIGID_SETS = 4
-# Strain energy of a motion over that of the first mode with which it is one of a rigid body.
+# Strain energy of a motion, over that of the first mode, below which it is one of a rigid body.
 _FREE = 1e-6
-# Directions with less than this part of a mode are rounding; energy of those left out of a wide basis, of the
-# tolerance.
+# Directions with less than this part of a mode are rounding; energy of those left out of a wide basis, as a
+# fraction of the tolerance.
 _LEAST, _LEAST_OF_WIDE = 1e-5, 0.012
-# Power of the frequency of a further mode with which its energy falls in a wide basis.
+# Power of a further mode's frequency with which its energy is reduced in a wide basis.
 _FALLING = 2.0
 # Parameter sets that are solved on a wide basis, and checked there.
 _ON_WIDE = 96
@@ -110,7 +111,7 @@ def reduce(
 
     A wide basis comes from full solves at ``settings.training`` sets, with many modes beyond those predicted.
     On it many more sets are solved, and the principal directions of their modes are the basis. Each is
-    checked at fresh sets; what the basis errs in an answer is computed there (``basis_error``).
+    checked at fresh sets; the error of the basis in an answer is computed there (``basis_error``).
     """
     problem, tolerance = model.operator.problem, settings.tolerance
     many = training_sets(problem, max(_RELATIONS, settings.training), rng)
@@ -141,7 +142,7 @@ def _checked(
     settings: ReductionSettings,
     rng: np.random.Generator,
 ) -> PlateModel:
-    """A smaller model, fitted to the modes of another at sets (m, n) and where it is found wrong."""
+    """A smaller model, fitted to the modes of another at sets (m, n) and at those where checks fail."""
     known = _solved(model, sets, further)
     for _ in range(settings.rounds):
         small = fit(known)
@@ -158,7 +159,7 @@ def focused(model: ReducedModel, x: Array, tolerance: float, fraction: float = 1
     """A reduced model projected once more, on the principal directions of its modes at points x (m, n).
 
     Each block keeps the fewest directions with which this ``fraction`` of its frequencies at x is within
-    ``tolerance``, relative, of that of ``model``. One whose modes were labelled stays as it is.
+    ``tolerance``, relative, of that of ``model``. One whose modes were labelled is returned unchanged.
     """
     if type(model) is not ReducedModel:  # the labelled shapes are those of its basis
         return model
@@ -171,8 +172,7 @@ def focused(model: ReducedModel, x: Array, tolerance: float, fraction: float = 1
 def basis_error(model: ReducedModel, x: Array) -> Array:
     """Relative errors of the basis at parameter vectors (m, n), by as many full solves, (m, n_modes).
 
-    Of modes in ascending order.
-    Matrices of the full space that a model was sent or kept without are made anew.
+    Modes are in ascending order. Matrices of the full space that the model lacks are made anew.
     """
     x, full = np.atleast_2d(x), model.full
     if not full.operator.blocks:
@@ -182,7 +182,7 @@ def basis_error(model: ReducedModel, x: Array) -> Array:
 
 
 def compressed(operator: DenseOperator, stiffness: Array, mass: Array) -> DenseOperator:
-    """The operator with as few terms as its coefficients have independent directions.
+    """The operator reduced to the independent directions of its coefficients.
 
     stiffness, mass : coefficients at many parameter sets (m, n_terms), which show the relations between them
     """
@@ -191,7 +191,7 @@ def compressed(operator: DenseOperator, stiffness: Array, mass: Array) -> DenseO
 
 
 def by_field(operator: DenseOperator, block: RitzBlock, vectors: Array) -> Array:
-    """Each column (n, k) cut into the parts of its fields, without those that are zero.
+    """Each column (n, k) split into the parts of its fields, without those that are zero.
 
     On the reference square a rotation is w = length xi with phi_x = -1. Where the sides vary, so does
     the part of each field, and each is needed by itself.
@@ -210,7 +210,7 @@ def by_field(operator: DenseOperator, block: RitzBlock, vectors: Array) -> Array
 class _Modes:
     """Modes of one block at some of the parameter sets.
 
-    sets, column : (k,) the set of each, and which of the block's eigenvalues it has.
+    sets, column : (k,) the set of each, and the index of its eigenvalue in the block.
     eigenvalues : (k,)
     away : (k,) relative distance of its frequency from the last one predicted, 0 below it.
     vectors : (k, n), M-normalised.
@@ -223,7 +223,7 @@ class _Modes:
     vectors: Array
 
     def joined(self, other: _Modes, n_sets: int) -> _Modes:
-        """These and those at other sets, which are counted after n_sets."""
+        """These modes and those at other sets, which are numbered from n_sets on."""
         return _Modes(
             np.concatenate((self.sets, n_sets + other.sets)),
             np.concatenate((self.column, other.column)),
@@ -239,7 +239,7 @@ class _Solved:
 
     stiffness, mass : (m, n_terms) coefficients
     ranked : (m, n_rigid + n_modes) lowest eigenvalues
-    n_rigid : how many of these are of rigid-body motions
+    n_rigid : number of these that are of rigid-body motions
     blocks : modes of each block, those predicted and the next ones
     """
 
@@ -255,7 +255,7 @@ class _Solved:
         return np.asarray(np.sqrt(np.maximum(self.ranked[:, self.n_rigid :], 0.0)) / (2 * np.pi))
 
     def joined(self, other: _Solved) -> _Solved:
-        """The sets of both."""
+        """Both, one after the other."""
         pairs = zip(self.blocks, other.blocks, strict=True)
         return _Solved(
             np.concatenate((self.stiffness, other.stiffness)),
@@ -267,7 +267,7 @@ class _Solved:
 
 
 def _solved(model: PlateModel, x: Array, further: int) -> _Solved:
-    """A plate at parameter vectors (m, n), with so many modes of each block beyond those predicted."""
+    """A plate solved at parameter vectors (m, n), with ``further`` modes per block above those predicted."""
     at_once = max(1, _ENTRIES // max(block.size for block in model.operator.blocks) ** 2)
     parts = (_solved_at_once(model, x[i : i + at_once], further) for i in range(0, len(x), at_once))
     return functools.reduce(_Solved.joined, parts)
@@ -296,11 +296,11 @@ def _solved_at_once(model: PlateModel, x: Array, further: int) -> _Solved:
 def _directions(
     operator: DenseOperator, known: _Solved, least: float = _LEAST, falling: float = 0.0
 ) -> list[tuple[int, DenseBlock]]:
-    """Every block on its rigid-body motions, counted, and the principal directions of its modes.
+    """Every block on its rigid-body motions, with their number, and on principal directions of its modes.
 
     Modes have the same energy; that of those above the last one predicted falls with a power of their
-    frequency over its own. Directions are principal in the energy of the first set, so that what is left out
-    of a mode is the error of its eigenvalue. They are made orthonormal in the mass of that set.
+    frequency over its own. Directions are principal in the energy of the first set, so that the part left
+    out of a mode is the error of its eigenvalue. They are made orthonormal in the mass of that set.
     """
     projected = []
     shift = _SHIFT * known.ranked[0, known.n_rigid]
@@ -318,7 +318,7 @@ def _directions(
 
 
 def _orthonormal(vectors: Array, mass: Array) -> Array:
-    """Vectors (n, r) made orthonormal in a mass (n, n), with the spans of the first ones."""
+    """Vectors (n, r) made orthonormal in a mass (n, n), each leading set with its span kept."""
     if not vectors.shape[1]:
         return vectors
     for _ in range(2):  # the second pass restores the digits that the first one lost
@@ -359,7 +359,7 @@ def _principal(columns: Array, least: float) -> Array:
 def _sizes(
     directions: list[tuple[int, DenseBlock]], known: _Solved, tolerance: float, fraction: float = 1.0
 ) -> list[int]:
-    """Number of directions of each block with which this fraction of its modes is within a tolerance."""
+    """Number of directions of each block for which this fraction of its modes is within a tolerance."""
     return [
         _enough(block, modes, known, n_rigid, tolerance, fraction)
         for (n_rigid, block), modes in zip(directions, known.blocks, strict=True)
@@ -367,7 +367,7 @@ def _sizes(
 
 
 def _projected(model: PlateModel, directions: list[tuple[int, DenseBlock]], sizes: list[int]) -> PlateModel:
-    """A model on the leading directions of each block; the smallest, of rigid-body motions, are one."""
+    """A model on the leading directions of each block; the smallest, of rigid-body motions, are joined."""
     pairs = zip((block for _, block in directions), sizes, strict=True)
     every = [_leading(block, size) for block, size in pairs if size]
     small = tuple(block for block in every if block.size <= _TINY)
@@ -380,7 +380,7 @@ def _projected(model: PlateModel, directions: list[tuple[int, DenseBlock]], size
 def _enough(
     block: DenseBlock, modes: _Modes, known: _Solved, n_rigid: int, tolerance: float, fraction: float
 ) -> int:
-    """Number of directions of one block, the rigid-body motions at least."""
+    """Number of directions of one block, at least the rigid-body motions."""
     if not len(modes.sets):
         return n_rigid
     allowed = np.clip(_ABOVE * modes.away, tolerance, max(tolerance, _MOST_ABOVE))
@@ -409,7 +409,7 @@ def _enough(
     low, rows = max(int(modes.column.max()), n_rigid), np.arange(len(modes.sets))
     if fraction < 1.0:
         return least(low, _FIRST_STEP, rows)
-    # a few sets are the hardest ones, whatever the number: those that are found to be harder join them
+    # a few sets are the hardest ones, whatever the number: any found to be harder join them
     error, size = excess(min(low + _FIRST_STEP, block.size), rows), low
     hard = np.empty(0, dtype=int)
     while True:
@@ -421,7 +421,7 @@ def _enough(
 
 
 def _cut(block: DenseBlock, size: int) -> DenseBlock:
-    """A block on its first functions."""
+    """A block on its leading functions."""
     stiffness, mass = (
         AffineMatrix(matrix.stack[:, :size, :size], matrix.active) for matrix in (block.stiffness, block.mass)
     )
@@ -429,9 +429,9 @@ def _cut(block: DenseBlock, size: int) -> DenseBlock:
 
 
 def _leading(block: DenseBlock, size: int) -> DenseBlock:
-    """A block on the span of its first functions.
+    """A block on the span of its leading functions.
 
-    Of two mass terms, translation and rotation as a rule, both are diagonal.
+    Two mass terms, as a rule translation and rotation, are both made diagonal.
     """
     small = _cut(block, size)
     if len(small.mass.stack) == 2:

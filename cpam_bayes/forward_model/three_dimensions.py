@@ -1,4 +1,4 @@
-"""What three dimensions make of a frequency of first-order theory, and what is left open (docs/theory.md)."""
+"""Corrections of first-order theory for three dimensions, and their uncertainty (docs/theory.md)."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ from cpam_bayes.plate.layup import Layup
 THEORY_SHEAR: Final = "theory_shear"
 """The bias by shear, as the relative error of a mode of 1 kHz."""
 THEORY_LEVEL: Final = "theory_level"
-"""The relative error that edges give all frequencies."""
+"""The relative error that edges cause in all frequencies."""
 
 _KILOHERTZ: Final = 1000.0
 # Fitted to the bricks of studies/16_theory_error.py by maximum likelihood, with a factor N(1, 0.5^2) of the
 # bias: bias by shear, common scatter by free edges and by clamps, and the scatter of single modes by each.
 _SHEAR, _FREE_EDGES, _CLAMPS, _FACTOR = 0.0085, 0.43, 0.012, 0.5
 _FLOOR, _OF_SHEAR, _OF_FREE_EDGES, _OF_CLAMPS = 1e-4, 0.0036, 0.27, 0.0042
-# Points a ply for the integrals over the thickness.
+# Points per ply for the integrals over the thickness.
 _POINTS: Final = 8
-# Place of (11, 12, 22, 66, 16, 26) in the matrix of a ply.
+# Positions of (11, 12, 22, 66, 16, 26) in the matrix of a ply.
 _ROWS, _COLUMNS = np.array([0, 0, 1, 2, 0, 1]), np.array([0, 1, 1, 2, 2, 2])
 
 
 def theory_bias(specimen: Specimen) -> Bias:
     """The mean of ln f in three dimensions less that of first-order theory with ideal supports.
 
-    b = 0.0085 w, w from `shear_frequency`: transverse shear across the thickness is not what the theory takes
-    it for, which makes it too soft. The factor is known to a half, N(1, 0.5^2), see `common_theory_errors`.
+    b = 0.0085 w, w from `shear_frequency`: the theory's distribution of transverse shear over the thickness
+    makes it too soft. The factor is known to a half, N(1, 0.5^2), see `common_theory_errors`.
 
     Measured by ``python studies/16_theory_error.py``: docs/theory.md, First-order theory against three
     dimensions.
@@ -56,11 +56,11 @@ def theory_bias(specimen: Specimen) -> Bias:
 
 
 def common_theory_errors(specimen: Specimen) -> dict[str, float]:
-    """What is left open of the theory in all modes alike, relative standard deviations by name.
+    """Errors of the theory that all modes share, relative standard deviations by name.
 
     Half of the bias by shear, at 1 kHz, and a level by edges,
     (0.43 h / (a b) sum_free L q)^2 + (0.012 h / (a b) sum_clamped L)^2, L the length of an edge and q its
-    `edge_layer`. Which modes that takes most depends on the layup, so the level has no sign.
+    `edge_layer`. Which modes are affected most depends on the layup, so the level has no sign.
     """
     bias, (free, clamped) = theory_bias(specimen), edge_sums(specimen)
     level = float(np.hypot(_FREE_EDGES * free, _CLAMPS * clamped))
@@ -73,7 +73,7 @@ def theory_powers(frequencies: Array) -> dict[str, Array]:
 
 
 def theory_error(specimen: Specimen, frequencies: ArrayLike) -> Array:
-    """Relative standard deviation by which modes deviate, each by itself, from `theory_bias`, (n,).
+    """Relative standard deviation of single modes about `theory_bias`, independent of each other, (n,).
 
     e^2 = 0.0001^2 + (0.0036 w)^2 + (0.27 h / (a b) sum_free L q)^2 + (0.0042 h / (a b) sum_clamped L)^2.
 
@@ -92,7 +92,7 @@ def theory_error(specimen: Specimen, frequencies: ArrayLike) -> Array:
 def edge_sums(specimen: Specimen) -> tuple[float, float]:
     """h / (a b) sum L q over free edges, and h / (a b) sum L over clamped ones.
 
-    Free edges of a layup with unknown angles count as those of plies that are all alike.
+    Free edges of a layup with unknown angles count as if all plies were alike.
     """
     plate = specimen.plate
     lengths, edges = (plate.width, plate.length) * 2, list(enumerate(conditions(plate.edges)))
@@ -118,10 +118,10 @@ def shear_frequency(specimen: Specimen, frequencies: ArrayLike) -> Array:
 def edge_layer(specimen: Specimen, axis: int) -> float:
     """Strain energy that a free edge across an axis (0: x, 1: y) releases, over that of bending along it.
 
-    A bending moment along the edge leaves stresses in the plies there whose resultants vanish. Interlaminar
-    shear takes them away over a width d: a d + b / d is least at 2 (a b)^1/2, with a the energy of those
+    A bending moment along the edge causes stresses in the plies there whose resultants vanish. Interlaminar
+    shear relieves them over a width d: a d + b / d is least at 2 (a b)^1/2, with a the energy of those
     stresses and b that of the shear forces between plies that balance them (Pipes and Pagano, Journal of
-    Composite Materials 4, 1970). Here (a b)^1/2, in units of the bending energy and of the thickness.
+    Composite Materials 4, 1970). Returns (a b)^1/2, in units of the bending energy and of the thickness.
     """
     plies = _moduli(reference_constants(specimen), specimen.plate.layup)
     ply = np.empty((len(plies.g13), 3, 3))
@@ -137,7 +137,7 @@ def edge_layer(specimen: Specimen, axis: int) -> float:
     energy = np.einsum("ki,kij,kj,k->", stress, compliance, stress, step)
     left = np.zeros_like(stress)
     across = [axis, 2]
-    # what is constant or linear in z has a resultant, which the theory's own edge layer takes away
+    # the part constant or linear in z has a resultant, which the theory's own edge layer relieves
     weights = powers * step
     linear = powers.T @ np.linalg.solve(weights @ powers.T, weights @ stress[:, across])
     left[:, across] = stress[:, across] - linear
@@ -151,7 +151,7 @@ def edge_layer(specimen: Specimen, axis: int) -> float:
 class _Moduli:
     """Moduli of n plies in the directions of the plate.
 
-    interfaces : (n + 1,) z / h. plane : (n, 6), as of ``rotated_stiffness``. g13, g23 : (n,) along and across
+    interfaces : (n + 1,) z / h. plane : (n, 6), from ``rotated_stiffness``. g13, g23 : (n,) along and across
         the fibres, Pa. turn : (n,) cos 2t
     """
 
@@ -175,27 +175,27 @@ def _moduli(constants: Mapping[str, ArrayLike], layup: Layup) -> _Moduli:
     return _Moduli(plies.interfaces, plane, shear[0], shear[1], functions[:, 1])
 
 
-# A ply is core where its transverse shear modulus is below this part of the largest.
+# A ply is core where its transverse shear modulus is below this fraction of the largest.
 _CORE: Final = 0.2
-# Relative error of a frequency from which it is said.
+# Relative error of a frequency from which it is reported.
 _SAID: Final = 0.005
 
 LIMIT: Final = 0.05
-"""Relative error of a frequency from which first-order theory is of no use for a sandwich."""
+"""Relative error of a frequency from which first-order theory is useless for a sandwich."""
 
 
 def sandwich_error(
     specimen: Specimen, frequencies: ArrayLike, constants: Mapping[str, ArrayLike] = MappingProxyType({})
 ) -> Array:
-    """By how much first-order theory makes the bending frequencies of a sandwich too low, (n,), relative.
+    """Relative amount by which first-order theory makes bending frequencies of a sandwich too low, (n,).
 
-    Faces with a bending stiffness D_f of their own have it whatever the core does: a wave has
+    Faces keep their own bending stiffness D_f whatever the core does: a wave has
     m w^2 = D_f k^4 + D_0 k^4 / (1 + D_0 k^2 / S), D_0 = D - D_f (Allen, Analysis and Design of Structural
     Sandwich Panels, 1969, on thick faces). First-order theory with the energy-consistent shear stiffness
     A_s = S / (1 - r)^2, r = D_f / D, has m w^2 = D k^4 / (1 + D k^2 / A_s). With
     y = D k^2 / A_s / (1 - r) the first is 1 + r (1 - r) y^2 / (1 + y) times the second. k follows from the
     frequency; of waves along x and along y the larger error is taken. At a clamped edge the faces are held
-    too: over d = (D_f / S)^1/2 the core does not shear, which takes y / (1 + y) d / L more for each clamped
+    too: over d = (D_f / S)^1/2 the core does not shear, which adds y / (1 + y) d / L for each clamped
     edge across a side L (the density of the shear energy is twice its mean there). The error is 0 without a
     soft core. Measured by ``python studies/22_sandwiches.py``.
 
@@ -216,9 +216,9 @@ def sandwich_error(
 
 
 def _of_waves(state: PlateState, layup: Layup, axis: int, shear: float, clamped: int, omega2: Array) -> Array:
-    """e of waves along an axis (0: x, 1: y), (n,).
+    """`sandwich_error` of waves along an axis (0: x, 1: y), (n,).
 
-    shear : A_s across it, N/m. clamped : number of its ends that are. omega2 : (n,), (rad/s)^2.
+    shear : A_s of the axis, N/m. clamped : number of its clamped ends. omega2 : (n,), (rad/s)^2.
     """
     bending, of_faces = _bending(state, layup, axis)
     r = of_faces / bending
@@ -232,7 +232,7 @@ def _of_waves(state: PlateState, layup: Layup, axis: int, shear: float, clamped:
 
 
 def _bending(state: PlateState, layup: Layup, axis: int) -> tuple[float, float]:
-    """Bending stiffness along an axis, N m, of the whole plate and of its faces about their own middles."""
+    """Bending stiffness along an axis, N m, of the whole plate and of its faces about their own axes."""
     plies = _moduli(state.constants, layup)
     modulus = plies.plane[:, (0, 2)[axis]]
     along, across = plies.g13, plies.g23
@@ -247,7 +247,7 @@ def _bending(state: PlateState, layup: Layup, axis: int) -> tuple[float, float]:
 
 
 def _about_own_middle(moments: Array) -> float:
-    """Bending stiffness of plies with moments (3, n) of their moduli about any height."""
+    """Bending stiffness about the neutral axis, from the moments (3, n) of ply moduli about any height."""
     a, b, d = moments.sum(axis=1)
     return float(d - b * b / a)
 

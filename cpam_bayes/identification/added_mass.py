@@ -1,4 +1,4 @@
-"""A mass that was stuck to a plate between two lists of its frequencies: whether, how heavy, where.
+"""Detection of a mass added to a plate between two lists of its frequencies: whether, how heavy, where.
 
 The second list is compared with the first, not with a model: d_i = ln(f'_i / f_i) holds none of the errors
 that both lists share. In the modes phi of the plate, of unit modal mass, a mass m at (x, y) gives
@@ -7,8 +7,8 @@ that both lists share. In the modes phi of the plate, of unit modal mass, a mass
 
 with r its radius of gyration (Dowell, J. Appl. Mech. 46, 206, 1979) and U the mean over the disc that it
 covers: the same to second order in its radius, whether it bends with the plate or not. The lowest modes are
-kept; what the others answer to the mass is one vector a field. Places are weighed on a grid that is refined
-where the likelihood is.
+kept; the response of the others to the mass is one vector per field. Places are weighed on a grid that is
+refined where they are likely.
 """
 
 from __future__ import annotations
@@ -37,50 +37,50 @@ from cpam_bayes.running import single_blas_thread
 Array = NDArray[Any]
 
 CLAIMED: Final = 0.95
-"""Probability of a mass from which it is said to be there."""
-# A coin neither bends with the plate nor is quite stiff: standard deviation of a shift, as a fraction of it.
+"""Least probability of a mass that is reported as added."""
+# Relative standard deviation of a shift: a coin neither bends with the plate nor is quite stiff.
 _FORM: Final = 0.02
 LARGEST: Final = 0.15
-"""The largest mass that is looked for, of the plate's."""
-# Masses, of the plate's: log-uniform prior from the least to the largest, and where shifts are computed.
+"""The largest mass that is sought, over the plate's."""
+# Masses over the plate's: log-uniform prior from the least to the largest, and where shifts are computed.
 # Between these a shift is linear in ln(1 + 4 m): exact for a squared mode shape of 4, as at a free end.
 _LEAST: Final = 5e-4
 _NODES: Final = (0.005, 0.012, 0.03, 0.06, 0.1, LARGEST)
 _CURVED: Final = 4.0
-# Part of the largest mass from which one is at the end, and probability there from which it may be heavier.
+# Fraction of the largest mass that counts as the end, and probability there from which it may be heavier.
 _END, _BEYOND = 0.9, 0.05
 # Without a mass: probability that all frequencies changed by one factor, by temperature or the analyser, and
 # the standard deviation of its logarithm.
 _FACTOR_CHANGED, _FACTOR_SD = 0.1, 0.01
-# Probability of it from which it is said.
+# Least probability of a common factor that is reported.
 _FACTOR_SAID: Final = 0.75
-# Area over mass of what is stuck to a plate, m2/kg: mean and standard deviation from steel of 1.5 to 6 mm. A
-# shift is linear in it, as the square of the radius is.
+# Area over mass of an added mass, m2/kg: mean and standard deviation from steel of 1.5 to 6 mm. A shift is
+# linear in it, as the square of the radius is.
 _PER_MASS, _PER_MASS_SD = 0.5 * (1 / 12 + 1 / 48), (1 / 12 - 1 / 48) / 12**0.5
 _AREAL: Final = (1.0 / (_PER_MASS + _PER_MASS_SD), 1.0 / (_PER_MASS - _PER_MASS_SD))
 _STEEL: Final = 7850.0
-# Mean over a disc, exact to the fifth power: places over its radius, and weights.
+# Quadrature of the mean over a disc, exact to the fifth degree: points over its radius, and weights.
 _RING: Final = np.sqrt(2.0 / 3.0) * np.exp(1j * np.pi / 3.0 * np.arange(6))
 _DISC: Final = np.vstack(([0.0, 0.0], np.column_stack((_RING.real, _RING.imag))))
 _DISC_WEIGHTS: Final = np.array([2.0] + 6 * [1.0]) / 8.0
-# Cells along each side, times that a cell may be divided, cells divided at a time at most and at least, and
-# the log likelihood below the best from which on the others are not.
+# Cells along each side, how often a cell may be divided, most and fewest cells divided at a time, and nats
+# below the best beyond which cells are not divided.
 _CELLS, _LEVELS, _DIVIDED, _LEAST_DIVIDED, _UNLIKELY = 24, 3, 96, 24, 12.0
-# Modes that are kept over those of the list.
+# Modes kept beyond those of the list.
 _FURTHER: Final = 6
 # Polynomials added in each direction.
 _DENT: Final = 4
-# Masses between which a posterior is integrated, and the share of it that a smaller range may lose.
+# Masses at which a posterior is integrated, and the share of it that a smaller range may lose.
 _FINE, _LOST = 160, 1e-7
-# Repeatabilities between which one that is not stated is integrated.
+# Nodes over which an unstated repeatability is integrated.
 _LEVELS_OF_NOISE: Final = 24
 _DRAWS: Final = 4000
 _TAIL: Final = 0.025
-# Masses tried for a detection limit, those between which a list is weighed, and simulated lists at each.
+# Bisections for a detection limit, masses at which a list is weighed, and simulated lists for each.
 _STEPS, _WEIGHED, _LISTS = 8, 20, 400
-# Share of a plate that a detection limit leaves out.
+# Share of a plate's area that a detection limit leaves out.
 _HIDDEN: Final = 0.2
-# Lists that no mass explains.
+# p-value below which neither a mass nor none explains a list.
 _UNEXPLAINED: Final = 1e-3
 _ALIKE: Final = 1e-3
 
@@ -106,7 +106,7 @@ class Repeatability:
     rounding: Array
 
     def variances(self) -> tuple[Array, Array]:
-        """Variances of ln f' - ln f (k, n) at the repeatabilities that may be, and their log priors (k,)."""
+        """Variances (k, n) of ln f' - ln f at the possible repeatabilities, and their log priors (k,)."""
         if self.relative is not None:
             return (2.0 * (self.relative**2 + self.rounding**2))[None], np.zeros(1)
         level = np.geomspace(NOISE_PRIOR.lower, 0.02, _LEVELS_OF_NOISE)
@@ -116,10 +116,10 @@ class Repeatability:
 
 @dataclass(frozen=True, slots=True)
 class LoadedPlate:
-    """The modes of a plate as a mass meets them.
+    """Modes of a plate for its response to an added mass.
 
     eigenvalues : (k,) of the modes that are kept, rigid-body motions first, (rad/s)^2
-    listed : (n,) those of the list
+    listed : (n,) indices of the listed ones
     fields : points (p, 2) of 0 to 1, radius in m -> (5, p, N) of all N modes, mean over a disc
     every : (N,) eigenvalues of all modes
     scatter : points -> (p, n) mean square change of phi^2 over the constants that the first list leaves open
@@ -136,11 +136,11 @@ class LoadedPlate:
     mass_sd: float
 
     def masses(self) -> Array:
-        """Masses at which shifts are computed, 0 first, kg, (k,)."""
+        """Masses (k,), kg, at which shifts are computed, 0 first."""
         return self.mass * np.array([0.0, *_NODES])
 
     def shifts(self, points: Array, masses: Array, areals: Sequence[float]) -> Array:
-        """ln f' - ln f of the list with masses (k,), kg, at points (p, 2), (p, n_areals, k, n).
+        """Shifts ln f' - ln f (p, n_areals, k, n) of the list with masses (k,), kg, at points (p, 2).
 
         areals : mass of a disc over its area, kg/m2
         """
@@ -157,13 +157,13 @@ class LoadedPlate:
         return out
 
     def _shifts(self, fields: Array, mass: float, areal: float) -> Array:
-        """ln f' - ln f of the list with a mass where the fields of all modes are (5, p, N), (p, n)."""
+        """Shifts ln f' - ln f (p, n) of the list with a mass where the fields of all modes are (5, p, N)."""
         k = len(self.eigenvalues)
         # about its foot, of a disc of steel
         fields[3:] *= np.sqrt(mass / (4.0 * np.pi * areal) + (areal / _STEEL) ** 2 / 3.0)
         fields = np.ascontiguousarray(np.swapaxes(fields, 0, 1))
         low, high = fields[..., :k], fields[..., k:]
-        # the modes above answer w and the rotations as at the middle of the list, as three modes of unit mass
+        # the modes above respond in w and rotations as at the middle of the list: three modes of unit mass
         above = self.every[k:]
         answer = high[:, 2:] / (above - self.eigenvalues[self.listed].mean())
         each = np.swapaxes(answer, 1, 2)
@@ -196,7 +196,7 @@ def loaded_plate(
     sides: tuple[float, float],
     mass: tuple[float, float],
 ) -> LoadedPlate:
-    """The modes of a plate at its constants (n_parameters,), and their scatter over draws (m, n_parameters).
+    """Modes of a plate at its constants (n_parameters,), and their scatter over draws (m, n_parameters).
 
     listed : (n,) mode of each frequency, from 0. mass : kg, and its relative standard deviation
     """
@@ -218,7 +218,7 @@ def loaded_plate(
 
 
 def _richer(model: PlateModel, samples: Array) -> PlateModel:
-    """The plate on more trial functions, which the dent under a mass needs and its own modes do not."""
+    """The plate with more trial functions, which the dent under a mass needs and its own modes do not."""
     if model.basis is None:
         return model
     problem, settings = model.operator.problem, model.basis[0]
@@ -248,7 +248,7 @@ def _modes(
 
     def fields(points: Array, radius: float) -> Array:
         disc, weights = (_DISC, _DISC_WEIGHTS) if radius else (np.zeros((1, 2)), np.ones(1))
-        # what would hang over an edge is on it
+        # points beyond an edge are moved onto it
         at = np.clip(points[:, None] + radius * disc / np.array(sides), 0.0, 1.0).reshape(-1, 2)
         out = np.zeros((len(FIELDS), len(points), whole.shape[1]))
         for sector, a, b in zip(operator.space.sectors, starts[:-1], starts[1:], strict=True):
@@ -261,9 +261,9 @@ def _modes(
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """Rectangles of a plate with the shifts that a mass in their middle gives.
+    """Rectangles of a plate with the shifts by a mass at their centre.
 
-    centre : (p, 2) of 0 to 1; half : (p,) half their sides, of the plate's
+    centre : (p, 2) of 0 to 1; half : (p,) half their sides over the plate's
     shifts, slopes : (p, n_masses, n), at the mean area of a mass, and per standard deviation of it
     scatter : (p, n) as of `LoadedPlate`
     """
@@ -275,11 +275,11 @@ class Cells:
     scatter: Array
 
     def chosen(self, at: Array) -> Cells:
-        """Those at some rows."""
+        """Cells at some rows."""
         return Cells(*(getattr(self, name)[at] for name in self.__slots__))
 
     def joined(self, other: Cells, keep: Array) -> Cells:
-        """Those to keep (p,), and others."""
+        """The cells with ``keep`` (p,), and others."""
         kept = self.chosen(keep)
         pairs = ((getattr(kept, name), getattr(other, name)) for name in self.__slots__)
         return Cells(*(np.concatenate(pair) for pair in pairs))
@@ -290,23 +290,23 @@ def _cells(plate: LoadedPlate, centre: Array, half: Array) -> Cells:
 
 
 def _shifts_and_slopes(plate: LoadedPlate, points: Array, masses: Array) -> tuple[Array, Array]:
-    """At the mean area of a mass, and per standard deviation of it."""
+    """Shifts at the mean area of a mass, and their change per standard deviation of it."""
     wide, narrow = np.moveaxis(plate.shifts(points, masses, _AREAL), 1, 0)
     return 0.5 * (wide + narrow), 0.5 * (wide - narrow)
 
 
 @single_blas_thread
 def cells_of(plate: LoadedPlate) -> Cells:
-    """The whole plate, which every list begins with."""
+    """Cells of the whole plate, with which the search of every list begins."""
     middle = (np.arange(_CELLS) + 0.5) / _CELLS
     centre = np.stack(np.meshgrid(middle, middle, indexing="ij"), axis=-1).reshape(-1, 2)
     return _cells(plate, centre, np.full(len(centre), 0.5 / _CELLS))
 
 
 def _log_likelihoods(d: Array, shift: Array, slope: Array, extra: Array, variances: Array) -> Iterator[Array]:
-    """Log likelihood of differences (n,) at shifts (..., n), for each noise (k, n), (...).
+    """Log likelihood (...) of differences (n,) at shifts (..., n), for each noise (k, n).
 
-    slope : (..., n) standard deviation of the shifts that one unknown size gives all of them
+    slope : (..., n) standard deviation of the shifts by one unknown size, which all have in common
     extra : (..., n) further variances of each
     """
     away, slope, extra = (np.ascontiguousarray(np.moveaxis(a, -1, 0)) for a in (d - shift, slope, extra))
@@ -324,19 +324,19 @@ def _log_likelihoods(d: Array, shift: Array, slope: Array, extra: Array, varianc
 
 
 def _log_likelihood(d: Array, noise: tuple[Array, Array]) -> Array:
-    """Log likelihood of differences (n,) where no mass was added, for each noise, with its prior, (k,)."""
+    """Log likelihood (k,) of differences (n,) where no mass was added, for each noise, with its prior."""
     none = np.zeros_like(d)
     return np.array(list(_log_likelihoods(d, none, none, none, noise[0]))) + noise[1]
 
 
 def _without(d: Array, noise: tuple[Array, Array]) -> Array:
-    """Log evidence of differences (n,) without a mass, for each noise, with its prior, (k,)."""
+    """Log evidence (k,) of differences (n,) without a mass, for each noise, with its prior."""
     weight = 1.0 / noise[0]
     return _log_likelihood(d, noise) + _or_factor(weight @ d, weight.sum(axis=1))
 
 
 def _or_factor(along: Array, total: Array) -> Array:
-    """By how much the log evidence of no change rises where all frequencies may have changed by one factor.
+    """Gain in the log evidence of no mass where all frequencies may have changed by one factor.
 
     along, total : sums over the differences of d / variance and 1 / variance
     """
@@ -347,10 +347,7 @@ def _or_factor(along: Array, total: Array) -> Array:
 
 
 def _between(plate: LoadedPlate, cells: Cells, masses: Array) -> tuple[Array, Array, Array]:
-    """Shifts at masses (k,) between those that were computed, their slopes, and their further variances.
-
-    (p, k, n) each.
-    """
+    """Shifts interpolated at masses (k,), their slopes, and their further variances, (p, k, n) each."""
     nodes = plate.masses()
     right = np.clip(np.searchsorted(nodes, masses), 1, len(nodes) - 1)
     of_node, of_mass = (np.log1p(_CURVED * m / plate.mass) for m in (nodes, masses))
@@ -365,7 +362,7 @@ def _weighed(
 ) -> tuple[Array, Array]:
     """Log of posterior times evidence, by cell and mass (k,), and by noise.
 
-    masses : of equal steps of their logarithms
+    masses : equally spaced in their logarithms
     """
     step = np.log(masses[1] / masses[0]) / np.log(LARGEST / _LEAST)
     log_prior = np.log(4.0 * cells.half**2 * step)[:, None]
@@ -380,13 +377,13 @@ def _weighed(
 
 @dataclass(frozen=True, slots=True)
 class AddedMass:
-    """The mass that the second list shows.
+    """The mass inferred from the second list.
 
     probability : that a mass was added; log_bayes_factor : of one against none
-    p_value : of what the best mass, or none, leaves of the differences
-    mass, sd, interval : kg, 95 %; what is there at most where nothing is
-    place : m; radius : about it or one of its images, in which the mass is with 95 %, m
-    images : other places that no list can tell from it, m
+    p_value : of the residual differences with the best mass, or with none
+    mass, sd, interval : kg, 95 %; without a mass, what may be there at most
+    place : m; radius : about it or one of its images, containing the mass with 95 % probability, m
+    images : other places that no list distinguishes from it, m
     draws : (n, 3) of mass and place, SI
     noise : relative repeatability of one list
     """
@@ -405,7 +402,7 @@ class AddedMass:
     noise: float
 
     def distance(self, x: float, y: float) -> float:
-        """From the place or the nearest of its images, m."""
+        """Distance of a point from the place or the nearest of its images, m."""
         return min(float(np.hypot(x - a, y - b)) for a, b in (self.place, *self.images))
 
 
@@ -416,9 +413,9 @@ def find_masses(
     lists: Sequence[tuple[Array, Repeatability]],
     rng: np.random.Generator,
 ) -> list[AddedMass]:
-    """The mass in each of several lists, from its differences d = ln f' - ln f (n,) of the first list.
+    """Added mass in each of several lists, from its differences d = ln f' - ln f (n,) from the first list.
 
-    A repeatability that no file states is one for all lists: what the others say of it is the prior of each.
+    An unstated repeatability is one for all lists: the others inform the prior of each.
 
     whole : as of `cells_of`
     """
@@ -445,7 +442,7 @@ def find_masses(
 
 
 def _refined(plate: LoadedPlate, whole: Cells, d: Array, noise: tuple[Array, Array]) -> Cells:
-    """Cells in which a mass may be, small where it is likely."""
+    """Cells that may contain the mass, small where it is likely."""
     masses = np.geomspace(_LEAST * plate.mass, LARGEST * plate.mass, 60)
 
     def weighed(cells: Cells) -> Array:
@@ -457,7 +454,7 @@ def _refined(plate: LoadedPlate, whole: Cells, d: Array, noise: tuple[Array, Arr
         order = np.argsort(-density)[:_DIVIDED]
         likely = density[order] > density.max() - _UNLIKELY
         likely[:_LEAST_DIVIDED] = True
-        # where even the best places are as good as all others, smaller cells say nothing more
+        # where even the best places are as good as all others, smaller cells add nothing
         if likely.all() and len(order) == _DIVIDED and density[order[-1]] > density.max() - 2.0:
             break
         chosen = order[likely]
@@ -475,7 +472,7 @@ def _refined(plate: LoadedPlate, whole: Cells, d: Array, noise: tuple[Array, Arr
 def _masses(
     plate: LoadedPlate, cells: Cells, d: Array, noise: tuple[Array, Array]
 ) -> tuple[Array, Array, Array]:
-    """The masses (k,) that carry the posterior, and `_weighed` at them."""
+    """Masses (k,) that carry the posterior, and `_weighed` at them."""
     low, high = _LEAST * plate.mass, LARGEST * plate.mass
     while True:
         masses = np.geomspace(low, high, _FINE)
@@ -546,7 +543,7 @@ def _found(
 def _drawn(
     plate: LoadedPlate, cells: Cells, log_weight: Array, masses: Array, rng: np.random.Generator
 ) -> Array:
-    """Draws of mass and place, SI, (n, 3): a cell and a mass, anywhere in the cell."""
+    """Draws (n, 3) of mass and place, SI: a cell and a mass, uniform within the cell."""
     weight = np.exp(log_weight - log_weight.max()).ravel()
     chosen = rng.choice(len(weight), _DRAWS, p=weight / weight.sum())
     cell, at = np.unravel_index(chosen, log_weight.shape)
@@ -561,7 +558,7 @@ def _drawn(
 def _place(
     plate: LoadedPlate, whole: Cells, draws: Array, best: Array
 ) -> tuple[tuple[float, float], float, tuple[tuple[float, float], ...]]:
-    """The middle of the draws about the best place, all images laid on one, the radius, and the images."""
+    """Mean place of the draws, all laid on the image of the best one, its radius, and its images."""
     sides = np.array(plate.sides)
     images = symmetries(plate, whole)
     folded = np.array([image(draws[:, 1:] / sides) * sides for image in images])
@@ -577,14 +574,14 @@ def _place(
         at = image((middle / sides)[None])[0] * sides
         if all(np.hypot(*(at - np.array(known))) > radius for known in (tuple(middle), *others)):
             others.append((float(at[0]), float(at[1])))
-    # of places that no list tells apart the one furthest along x, then y, whatever rounding prefers
+    # of indistinguishable places the one furthest along x, then y, whatever rounding prefers
     every = [(float(middle[0]), float(middle[1])), *others]
     place = max(every, key=lambda at: (round(at[0] / sides[0], 3), round(at[1] / sides[1], 3)))
     return place, radius, tuple(at for at in every if at is not place)
 
 
 def symmetries(plate: LoadedPlate, whole: Cells) -> list[Callable[[Array], Array]]:
-    """Maps of places (p, 2) of 0 to 1 to places that no list can tell from them, the identity first."""
+    """Maps of places (p, 2) of 0 to 1 to places that no list distinguishes from them, the identity first."""
     field = whole.shifts[:, 1].reshape(_CELLS, _CELLS, -1)
     largest = np.abs(field).max()
     found: list[Callable[[Array], Array]] = []
@@ -606,7 +603,7 @@ def _mapped(turned: bool, flip: Array, places: Array) -> Array:
 def predicted_shifts(
     plate: LoadedPlate, mass: float, place: tuple[float, float], noise: Array, rounding: Array
 ) -> tuple[Array, Array]:
-    """ln f' - ln f of a list with a known mass, kg, at a place in m: mean and standard deviation, (n,).
+    """Mean and standard deviation (n,) of ln f' - ln f of a list with a known mass, kg, at a place in m.
 
     noise, rounding : (n,) relative, of one list
     """
@@ -617,13 +614,14 @@ def predicted_shifts(
 
 
 def spread_of_shifts(left: Array, shifts: Array, rounding: Array) -> tuple[tuple[float, float], float]:
-    """Repeatability of a list and error of a shift that known masses show.
+    """Repeatability of a list and relative error of a shift, from lists with known masses.
 
     left : (l, n), measured less predicted ln f' - ln f of lists that share a first one, of variance
         2 (s^2 + rounding^2) + (k shift)^2
     shifts : (l, n) predicted; rounding : (n,) relative, of one list
 
-    Returns the 95 % interval of s, even in its logarithm, and what k is below with 95 %, even up to one half.
+    Returns the 95 % interval of s, with a log-uniform prior, and the 95 % upper limit of k, with a uniform
+    prior up to one half.
     """
     s, k = np.geomspace(NOISE_PRIOR.lower, 0.05, 120), np.linspace(0.0, 0.5, 101)
     log_likelihood = np.zeros((len(s), len(k)))
@@ -639,7 +637,7 @@ def spread_of_shifts(left: Array, shifts: Array, rounding: Array) -> tuple[tuple
 def _common(n_lists: int) -> float:
     """Variance of the slope of a log likelihood of differences, over that of independent lists.
 
-    Differences of one first list are correlated by a half.
+    Differences from one first list have a correlation of one half.
     """
     return 1.0 + max(n_lists - 1, 0) / 4.0
 
@@ -648,10 +646,10 @@ def _common(n_lists: int) -> float:
 def detection_limit(
     plate: LoadedPlate, whole: Cells, noise: float, rounding: Array, rng: np.random.Generator
 ) -> float | None:
-    """The smallest mass that is claimed with 95 % probability, kg; None for none.
+    """Smallest mass, kg, that is claimed with 95 % probability; None if there is none.
 
-    Over the places of the first grid but for the fifth of them where a mass shows least, beside a clamp for
-    instance; the repeatability is taken for known.
+    Over the places of the first grid except the fifth of them where a mass shows least, beside a clamp for
+    instance; the repeatability is taken as known.
     """
     sd = np.sqrt(2.0 * (noise**2 + rounding**2))
     grid = np.geomspace(_LEAST, LARGEST, _WEIGHED) * plate.mass

@@ -1,17 +1,15 @@
-"""Constants that minimise F of eq. (7) for given sequences, many sequences at once.
-
-A sequence is fixed and only the constants are sought: a bounded least-squares problem in four or five
-unknowns. All problems of a stack take their damped Gauss-Newton steps together (``maximise``), so that
-the model is called once an iteration.
-
-Where two modes cross, sorted frequencies have a kink and steps shrink before the minimum is reached.
-Three starts are enough on C1: against fourteen, one of thirty sequences was left 2e-5 of F too high.
-
-Ply angles and constants of a specimen together: the paper's fuzzy swarm, and plain enumeration.
+"""Ply angles and constants of a specimen: the paper's fuzzy swarm, and plain enumeration.
 
 A parameter vector holds the unknown constants in their order and then the unknown angles, which are
 on the grid of eq. (10). F is that of eq. (7), measured and predicted frequencies paired in ascending
 order; the labels of a list are not used.
+
+For a given sequence only the constants are sought: a bounded least-squares problem in four or five
+unknowns. All problems of a stack take their damped Gauss-Newton steps together (``maximise``), so that
+the model is called once per iteration.
+
+Where two modes cross, sorted frequencies have a kink and steps shrink before the minimum is reached.
+Three starts are enough on C1: against fourteen, one of thirty sequences was left 2e-5 of F too high.
 """
 
 from __future__ import annotations
@@ -69,7 +67,7 @@ class ConditionalFit:
     """The best constants of m sequences.
 
     constants : (m, n_constants) SI. values : (m,) F at them. evaluations : parameter sets sent to the
-    model, each with derivatives. settled : (m,) bool, no step lowers F by more than the tolerance.
+    model, each with derivatives. settled : (m,) bool, True if no step lowers F by more than the tolerance.
     """
 
     constants: Array
@@ -91,12 +89,12 @@ def fit_constants(
     iterations: int = 40,
     tolerance: float = 1e-9,
 ) -> ConditionalFit:
-    """The constants in a box that minimise F = sum w_i (f_i - measured_i)^2, one set for each sequence.
+    """Constants in a box that minimise F = sum w_i (f_i - measured_i)^2, one set for each sequence.
 
     Each sequence starts from every row of ``starts``, and the lowest F is kept: F has several minima
     where modes cross. A step that leaves the constraints (9) is not taken.
 
-    angles_deg : (m, k), one row a sequence. starts : (s, n_constants), feasible. measured : (n_modes,)
+    angles_deg : (m, k), one row per sequence. starts : (s, n_constants), feasible. measured : (n_modes,)
     Hz. lower, upper : (n_constants,). weight : (n_modes,), by default 1. tolerance : relative decrease
     of F under which a problem is settled.
 
@@ -115,7 +113,7 @@ def fit_constants(
     evaluations = 0
 
     def target(z: Array, rows: Array) -> Expansion:
-        """-log F in the unit box, whose gains are relative decreases of F, with Gauss-Newton curvature."""
+        """-log F in the unit box, its gains being relative decreases of F, with Gauss-Newton curvature."""
         nonlocal evaluations
         x = lower + width * z
         inside = np.flatnonzero(feasible(x))
@@ -139,11 +137,11 @@ def fit_constants(
     return ConditionalFit(lower + width * maxima.u[best], f[best], evaluations, settled[best])
 
 
-# Sequences fitted together: also what a worker takes at a time.
+# Sequences fitted together, which a worker takes at a time.
 _TOGETHER = 128
-# Constants beside those of the swarm that the fit for its angles starts from.
+# Constants, beside those of the swarm, from which the fit for its angles starts.
 _STARTS = 3
-# Two swarms found the same where their F differ by less than this fraction.
+# Two swarms found the same optimum where their F differ by less than this fraction.
 _SAME_F = 1e-3
 
 
@@ -172,12 +170,12 @@ class AngleSearchProblem:
         return self.specimen.plate.layup.n_unknown
 
     def admissible(self, constants: Array) -> NDArray[np.bool_]:
-        """True where constants (m, n_constants) meet the constraints (9), (m,)."""
+        """Mask (m,) of constants (m, n_constants) that meet the constraints (9)."""
         angles = np.zeros((len(constants), self.n_plies))
         return np.asarray(self.model.admissible(np.hstack((constants, angles))))
 
     def values(self, constants: Array, sequences: Array) -> Array:
-        """F at constants (m, n_constants) and grid indices (m, n_plies), (m,)."""
+        """F (m,) at constants (m, n_constants) and grid indices (m, n_plies)."""
         x = np.hstack((constants, self.grid_deg[sequences]))
         predicted = self.model.predict(x).frequencies[:, : len(self.measured)]
         return misfit(predicted, self.measured, self.residual)
@@ -185,7 +183,7 @@ class AngleSearchProblem:
 
 @dataclass(frozen=True, slots=True)
 class AngleSearchResult:
-    """Answer of the fuzzy swarm for one specimen.
+    """Result of the fuzzy swarm for one specimen.
 
     angles_deg : (n_plies,)
     constants : SI, by name
@@ -231,7 +229,7 @@ def search_parameters(specimen: Specimen) -> ParameterSet:
 
 
 def fuzzy_problem(fit: AngleSearchProblem) -> SwarmProblem:
-    """The search of constants and a sequence as the fuzzy swarm takes it."""
+    """Problem of the fuzzy swarm: the search for constants and a sequence."""
     return SwarmProblem(
         objective=fit.values,
         feasible=fit.admissible,
@@ -264,7 +262,7 @@ def run_swarms(
     settings: SwarmSettings | None = None,
     executor: Executor | None = None,
 ) -> list[SwarmResult]:
-    """Runs of the fuzzy swarm from several seeds, shared out over an executor's workers.
+    """Runs of the fuzzy swarm from several seeds, distributed over an executor's workers.
 
     Raises as ``run_swarm``.
     """
@@ -288,13 +286,13 @@ def search_angles(
 ) -> AngleSearchResult:
     """Ply angles and constants of a specimen by the fuzzy swarm of the paper, or by several.
 
-    Several run until two have found the least F of all, the constants of the angles that each ended at fitted
-    by derivatives. Swarms run on the reduced model for any layup; what is reported of the best answer comes
-    from the full one. ``notify`` is told what takes long before the swarm starts. Raises ``ValueError`` if
-    the specimen has no measured frequencies, no unknown constants or no unknown angles, or if no
-    particle is feasible.
+    Several run until two have found the least F of all, after derivatives have fitted the constants for the
+    angles that each ended at. Swarms run on the reduced model for any layup; the reported values of the best
+    answer are by the full one. ``notify`` is called before long steps that precede the swarm. Raises
+    ``ValueError`` if the specimen has no measured frequencies, no unknown constants or no unknown angles, or
+    if no particle is feasible.
 
-    swarms : at most so many; 1 is the paper's single swarm as it ends, its constants not fitted
+    swarms : largest number; 1 is the paper's single swarm as it ends, its constants not fitted
     """
     start = time.perf_counter()
     measurement, unknowns = required(specimen)
@@ -369,7 +367,7 @@ _MESSAGES: Final = {
 
 
 def search_starts(fit: AngleSearchProblem, n: int) -> Array:
-    """Constants to start fits from: the reference ones, then n - 1 of section 5.1, (n, n_constants).
+    """Constants (n, n_constants) from which fits start: the reference ones, then n - 1 of section 5.1.
 
     The reference is left out where it does not meet the constraints (9) within the bounds.
     """
@@ -381,7 +379,7 @@ def search_starts(fit: AngleSearchProblem, n: int) -> Array:
 def best_constants(
     fit: AngleSearchProblem, sequences: Array, starts: Array, executor: Executor | None = None
 ) -> ConditionalFit:
-    """The constants that minimise F for each of m sequences (m, n_plies): plain enumeration's step.
+    """Constants that minimise F for each of m sequences (m, n_plies): the step of plain enumeration.
 
     starts : (s, n_constants), for instance of ``search_starts``. Raises as ``fit_constants``.
     """

@@ -1,10 +1,10 @@
-"""The density of complete lists with noise, tolerances and theory's error, and the constants that it leaves.
+"""Posterior density of complete lists with noise, tolerances and theory's error, and draws of the constants.
 
     y = f(c) (1 + J t + d) + e
 
-with e the noise, t the errors of sizes, mass, frequency scale and theory in common, d the scatter of solver
+with e the noise, t the common errors of sizes, mass, frequency scale and theory, d the scatter of solver
 and theory from mode to mode: all Gaussian, in one covariance matrix. Several lists of one material share the
-constants. Moments of these are by importance sampling about all optima.
+constants, whose moments are by importance sampling about all optima.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter, ParameterSet, TruncatedNormal
 from cpam_bayes.plate import Measurement, Specimen
 
-# Noise that residuals are weighed by where none is stated, relative.
+# Relative noise that weights residuals where none is stated.
 _USUAL_NOISE = 0.002
-# Optima that are sampled about at most.
+# Most optima about which draws are sampled.
 _MOST = 8
 _ROUNDS = Rounds(log2_points=8, most=10, least=3, enough=600.0)
 # Steps of an optimisation at most, and the gain, nats, that ends it.
@@ -41,7 +41,7 @@ _STEPS, _PROMISED = 40, 1e-9
 
 
 def scatter(specimen: Specimen, model: ReducedModel, x: Array, error: Array | None = None) -> Array:
-    """Relative standard deviation of the mode at each place by solver and first-order theory, (n_modes,).
+    """Relative standard deviation (n_modes,) of each mode by solver and first-order theory, in list order.
 
     error : (n_modes,) of the solver at x, in ascending order of the modes; that of the model if left out
     """
@@ -68,7 +68,7 @@ def residual_sd(specimen: Specimen, model: ReducedModel, x: Array) -> Array:
 class Draws:
     """Weighted draws of the constants.
 
-    x : (p, n), SI. weight : (p,), they add up to one. effective : number of equally probable ones
+    x : (p, n), SI. weight : (p,), normalised. effective : equivalent number of equally probable draws
     """
 
     x: Array
@@ -93,20 +93,20 @@ class Draws:
         return np.asarray(np.interp(at, cumulative, self.x[order, column]))
 
     def even(self, n: int) -> Array:
-        """So many of them of equal weight, by systematic resampling, (n, n_constants)."""
+        """Draws (n, n_constants) of equal weight, by systematic resampling."""
         at = np.searchsorted(np.cumsum(self.weight), (np.arange(n) + 0.5) / n)
         return np.asarray(self.x[np.minimum(at, len(self.x) - 1)])
 
     def beyond(self, column: int, low: float, high: float) -> tuple[float, float]:
-        """Probability of a constant below the one and above the other."""
+        """Probabilities of a constant below ``low`` and above ``high``."""
         x = self.x[:, column]
         return float(self.weight[x < low].sum()), float(self.weight[x > high].sum())
 
 
 def optima_about(density: CorrelatedDensity, starts: Array, noise: float) -> Optima:
-    """All optima that derivatives reach from constants (m, n), the first of the parameters.
+    """All optima reached by derivatives from constants (m, n), the first of the parameters.
 
-    noise : where an inferred noise begins, relative
+    noise : relative start of an inferred noise
     """
     x = density.scores.to_x(np.zeros((len(starts), density.parameters.size)))
     x[:, : starts.shape[1]] = starts
@@ -114,7 +114,7 @@ def optima_about(density: CorrelatedDensity, starts: Array, noise: float) -> Opt
         prior = density.parameters.parameters[column].prior
         x[:, column] = np.clip(noise, 2.0 * prior.lower, 0.5 * prior.upper)
     z = np.vstack((density.scores.to_z(x), np.zeros(density.parameters.size)))
-    # off the ends of a prior, where its density over scores is flat
+    # away from the ends of a prior, where its density over scores is flat
     return maximised(density, np.clip(z, -3.0, 3.0), _STEPS, _PROMISED, _MOST)
 
 
@@ -130,14 +130,14 @@ def sampled(density: CorrelatedDensity, optima: Optima, n: int) -> Draws:
 def lists_density(
     lists: Sequence[tuple[Specimen, ReducedModel]], at: Array, scatter_sd: float
 ) -> tuple[CorrelatedDensity, Array]:
-    """The density of lists of one material, and the factors by which their stated noise is widened, (l,).
+    """Density of lists of one material, and the factors (l,) by which their stated noise is widened.
 
     Constants are shared; each of several specimens deviates from them. Errors of sizes and mass belong to a
     specimen and are common to its tests; the frequency scale, of one analyser, is common to all lists.
 
-    at : (l, n) constants of each list, where its covariance is taken. A misfit there that the stated noise
-        does not explain widens it, by Birge's ratio: of the list alone, or beside the others, with which it
-        has the errors of sizes in common.
+    at : (l, n) constants of each list, at which its covariance is evaluated. A misfit there that the stated
+        noise does not explain widens it, by Birge's ratio: of the list alone, or given the others, which
+        share its errors of sizes.
     scatter_sd : relative standard deviation of a constant from specimen to specimen
     """
     unknowns, n = lists[0][0].unknowns, at.shape[1]
@@ -196,17 +196,17 @@ def _excess(
     fitted: Sequence[int],
     is_stated: Sequence[bool],
 ) -> Array:
-    """Misfit of each list in times of its stated noise, (l,); 1 where that explains it, or none is stated.
+    """Misfit (l,) of each list over its stated noise; 1 where that explains it, or none is stated.
 
     residuals, variance : of each list, Hz, and Hz^2 by its noise and model. common : covariance of all
-    frequencies by what they have in common, Hz^2
+    frequencies by their common errors, Hz^2
     """
     ends = np.cumsum([0, *map(len, residuals)]).tolist()
     rows = [np.arange(a, b) for a, b in pairwise(ends)]
     stated = np.concatenate([r for r, known in zip(rows, is_stated, strict=True) if known] or [rows[0][:0]])
     own, every = np.concatenate(variance), np.concatenate(residuals)
     covariance = common[np.ix_(stated, stated)] + np.diag(own[stated])
-    # less what the lists, one with the other, say of their common errors
+    # minus the common errors as inferred from all lists together
     beside = np.zeros_like(every)
     beside[stated] = np.sqrt(own[stated]) * np.linalg.solve(covariance, every[stated])
     excess = np.ones(len(rows))
@@ -218,14 +218,14 @@ def _excess(
 
 
 def deviation(parameter: Parameter, specimen: str, sd: float) -> Parameter:
-    """The relative deviation of a specimen's constant from that of the material."""
+    """Parameter for the relative deviation of a specimen's constant from that of the material."""
     prior = TruncatedNormal(0.0, sd, -4.0 * sd, 4.0 * sd)
     name = f"scatter of {parameter.name}, {specimen}"
     return Parameter(name, "", prior, kind="scatter", base=parameter.name, of=specimen)
 
 
 def _noise_of(names: Sequence[str], i: int) -> Parameter:
-    """The repeatability of one list, with its name among several."""
+    """Repeatability parameter of one list, named after the list where there are several."""
     if len(names) == 1:
         return Parameter(NOISE, "", NOISE_PRIOR)
     return Parameter(f"{NOISE} of {names[i]}", "", NOISE_PRIOR, base=NOISE, of=names[i])

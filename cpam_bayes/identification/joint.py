@@ -1,4 +1,4 @@
-"""One identification of several lists: tests of one plate, or plates of one material, share the constants."""
+"""Joint identification of several lists: tests of one plate, or plates of one material, share constants."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
 
-# Passes of an optimisation: the second takes covariances where the first one ended.
+# Passes of an optimisation: the second evaluates covariances where the first one ended.
 _PASSES = 2
-# Where an inferred noise begins, relative.
+# Relative start of an inferred noise.
 _USUAL_NOISE = 0.002
-# Optima this far below the best log density are not told.
+# Optima this far below the best log density are not reported.
 _DEPTH = 5.0
 
 
@@ -41,7 +41,7 @@ class ListFit:
 
     constants : (n,) of its specimen at the best optimum, SI
     predicted : one mode for each measured frequency
-    rms, alone : root mean square of the relative residuals, here and at the constants that fit it best
+    rms, alone : root mean square of the relative residuals, here and at the constants that fit this list best
     noise : relative; stated, or at the best optimum where it is inferred
     misfit : factor by which the stated noise was widened, 1 where it explains the list
     error : (n_f,) relative error of the solver there
@@ -61,7 +61,7 @@ class ListFit:
 
     @property
     def measurement(self) -> Measurement:
-        """Its list."""
+        """The measured list."""
         return required(self.specimen)[0]
 
 
@@ -69,10 +69,10 @@ class ListFit:
 class JointEstimate:
     """The constants that several lists share.
 
-    constants : moments and quantiles of the posterior of the material's, SI
+    constants : posterior moments and quantiles of the material's constants, SI
     covariance : (n, n) of them
     fits : of the lists, in their order
-    optima : (k, n) constants of all that carry weight, the best one first
+    optima : (k, n) constants at all optima that carry weight, the best one first
     log_density : (k,) of these
     scatter : relative standard deviation of a constant from specimen to specimen
     effective : number of equally probable draws
@@ -107,9 +107,9 @@ def estimate_jointly(
     progress: Callable[[int, float], None] | None = None,
     notify: Callable[[str], None] = lambda text: None,
 ) -> JointEstimate:
-    """The constants of several lists, with the priors of the first one.
+    """Constants from several lists, with the priors of the first one.
 
-    Swarms search each list; from their optima derivatives go on over all lists together.
+    Swarms search each list; from their optima derivatives optimise over all lists together.
 
     specimens : of one material and with the same unknowns, see `require_joint`
     scatter : relative standard deviation of a constant from specimen to specimen
@@ -172,7 +172,7 @@ def _rms(predicted: Array, measured: Array) -> float:
 def _fit(
     specimen: Specimen, model: ReducedModel, constants: Array, amplitude: float, misfit: float, alone: float
 ) -> ListFit:
-    """The list of a specimen at its constants (n,); amplitude : of the noise, nan where it is stated."""
+    """Fit of a specimen's list at its constants (n,); amplitude : of the noise, nan where it is stated."""
     measurement, unknowns = required(specimen)
     order = list_order(model, constants)[: measurement.size]
     modes = model.full.modes(constants)
@@ -196,7 +196,7 @@ def _fit(
 
 
 def require_joint(specimens: Sequence[Specimen]) -> None:
-    """Refuse plates that cannot be identified together: of other materials, unknowns, or unknown angles."""
+    """Raise ``ValueError`` for plates with different materials or unknowns, or with unknown angles."""
     require_one_material(specimens)
     first = specimens[0]
     for other in specimens:
@@ -214,7 +214,7 @@ def require_joint(specimens: Sequence[Specimen]) -> None:
 
 
 def prior_notices(specimens: Sequence[Specimen]) -> tuple[Notice, ...]:
-    """A notice where the files give different priors of a constant; the first one's holds."""
+    """Notice if the files give different priors of a constant, of which the first file's holds."""
     first, *others = [constant_parameters(specimen) for specimen in specimens]
     names = tuple(n for n in first.names if any(o[n].prior != first[n].prior for o in others))
     facts = {"names": names, "taken": specimens[0].name}
@@ -222,7 +222,7 @@ def prior_notices(specimens: Sequence[Specimen]) -> tuple[Notice, ...]:
 
 
 def require_one_material(specimens: Sequence[Specimen]) -> None:
-    """Refuse plates that cannot share their constants, or of which two are the same."""
+    """Raise ``ValueError`` for plates that cannot share their constants, or of which two are the same."""
     names = [s.name for s in specimens]
     twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
     if twice is not None:
@@ -249,6 +249,6 @@ def require_one_material(specimens: Sequence[Specimen]) -> None:
 
 
 def _sizes(specimen: Specimen) -> tuple[float | str, ...]:
-    """The sizes that do not change from test to test of a plate."""
+    """Sizes that are the same in all tests of a plate."""
     plate = specimen.plate
     return (plate.length, plate.width, plate.thickness, plate.density, plate.layup.text)

@@ -1,7 +1,4 @@
-"""Point identification: the best optimum of particle swarms over a converged plate, and how far to trust it.
-
-What decides a constant, and whose prior an interval rests on.
-"""
+"""Point identification: the best optimum of particle swarms over a converged plate, and its reliability."""
 
 from __future__ import annotations
 
@@ -58,10 +55,10 @@ BY_PRIOR: Final = 0.5
 
 
 def verdict_of(sd: float, prior_sd: float, *, explained: bool, at_bound: bool = False) -> Verdict:
-    """Who determines a constant, by its posterior contraction 1 - (sd / prior sd)^2.
+    """What determines a constant, by its posterior contraction 1 - (sd / prior sd)^2.
 
-    explained : whether the noise as stated explains the misfit, see `slips.birge_ratio`. A model that it does
-    not is none of this plate, and what its frequencies determine is no constant of the plate either.
+    explained : whether stated noise explains the misfit, see `birge_ratio`. Otherwise the model is not
+    of this plate, and what its frequencies determine is no constant of the plate either.
 
     A constant in contact with a bound is never determined by the data alone; one whose sd is not known
     counts as determined by the prior.
@@ -78,9 +75,9 @@ Array = NDArray[Any]
 
 
 LEAST_WIDENING: Final = 0.1
-"""Relative growth of a standard deviation that is worth a word."""
+"""Least relative growth of a standard deviation that is reported."""
 
-# 1 - 1/4: what a prior of twice the width takes off its precision
+# 1 - 1/4: part of its precision that a prior of twice the width loses
 _LESS_PRECISION = 0.75
 
 
@@ -89,9 +86,8 @@ def reliances(
 ) -> tuple[Reliance, ...]:
     """Constants whose interval would be wider by a tenth with a wider prior of another one.
 
-    Of a normal posterior with covariance S, a normal prior of constant j with standard deviation s_j that
-    becomes twice as wide takes 3/4 / s_j^2 off the precision of j, so that (Sherman and Morrison, Ann. Math.
-    Stat. 21, 1950)
+    With a normal posterior of covariance S, doubling the standard deviation s_j of a normal prior of constant
+    j lowers the precision of j by 3/4 / s_j^2, so that (Sherman and Morrison, Ann. Math. Stat. 21, 1950)
 
         S'_ii = S_ii + k S_ij^2 / (1 - k S_jj),  k = 3 / (4 s_j^2)
 
@@ -99,7 +95,7 @@ def reliances(
     ----------
     covariance : (n, n) of the posterior
     prior_sd : (n,)
-    sd : (n,) standard deviations that the intervals have, where they contain more than the covariance does
+    sd : (n,) standard deviations of the intervals, where they include more than the covariance does
     """
     variance = np.diag(covariance)
     shown = variance if sd is None else sd**2
@@ -117,7 +113,7 @@ def reliances(
 
 # A constant this close to a bound, as a fraction of the search interval, sits on it.
 _ON_BOUND = 1e-3
-# Probability of the noise that leaves the best optimum ahead of another one.
+# Confidence level at which the noise excludes an optimum other than the best one.
 _WITHIN = 0.95
 # Probability in each tail outside an interval of 95 %.
 _TAIL = 0.025
@@ -127,29 +123,28 @@ _APART = 3.0
 
 @dataclass(frozen=True, slots=True)
 class PointEstimate:
-    """Answer of the particle swarm for one specimen.
+    """Result of the particle swarm for one specimen.
 
-    constants : SI, in the order of the unknowns: of whitened residuals moments and quantiles of the posterior
-        over all optima; else the sd is linearised and contains those of [plate.sd], and the interval reaches
-        over all optima that the noise leaves open
-    predicted : one mode for each measured frequency; of whitened residuals with the most probable errors of
+    constants : SI, in the order of the unknowns: with whitened residuals moments and quantiles of the
+        posterior over all optima; else the sd is linearised and includes those of [plate.sd], and the
+        interval covers all optima that the noise leaves open
+    predicted : one mode for each measured frequency; with whitened residuals at the most probable errors of
         sizes and mass
     shapes : (n_modes, 3, n, n) of these, u, v and w on a regular grid
     rms : root mean square of the relative residuals
-    noise : relative standard deviation used for the linearised ones, the file's or, where that is left out,
-        the residuals' own
+    noise : relative standard deviation for the linearised sd: the file's or, without it, the residuals'
     misfit : over the stated noise, as of ``misfit_over_noise``; 1 where that explains it
     error : (n_modes,) estimated relative error of the solver and of its reduced basis at the answer
     laminate : flexural stiffness and constants, SI
-    model, centre : what the swarm ran on, and its centre, as of ``reduced_model``
+    model, centre : model of the swarm, and its centre, as of ``reduced_model``
     swarm : the single one, or of several the first with the best optimum
     swarms : number that were run
-    optima : the best one and those that the noise does not tell from it
-    scale_errors : what errors of sizes, mass and frequency scale do to the constants
+    optima : the best one and those that the noise leaves open
+    scale_errors : effects of errors of sizes, mass and frequency scale on the constants
     reliances : intervals that rest on the bounds or the prior of another constant
     alone : the constants from the frequencies and bounds alone, where they have another prior
-    draws : of whitened residuals, of the posterior that the constants are from
-    by_shape : what measured shapes say of the modes, None without them
+    draws : posterior draws behind the constants, with whitened residuals
+    by_shape : pairing by measured shapes, None without them
     """
 
     specimen: Specimen
@@ -190,8 +185,8 @@ def estimate_constants(
     """Elastic constants of a specimen by the particle swarm of the paper, or by several that are polished.
 
     Minimises ``misfit`` over the unknowns of the plate file within their bounds under the
-    constraints of eq. (9), as ``search`` does. Swarms run on the reduced model; what is reported of the
-    best optimum comes from the full one. ``notify`` is told what takes long before the swarm starts. Raises
+    constraints of eq. (9), as ``search`` does. Swarms run on the reduced model; the reported values of the
+    best optimum are by the full one. ``notify`` is called before long steps that precede the swarm. Raises
     ``ValueError`` if the specimen has no measured frequencies or no unknowns, or if no particle is
     feasible.
     """
@@ -215,7 +210,7 @@ def summarise(
     residual: Residual,
     start: float,
 ) -> PointEstimate:
-    """Summary of the best optimum of a search for an engineer."""
+    """Point estimate at the best optimum of a search."""
     measurement, unknowns = required(specimen)
     model, swarm = searched.model, searched.swarm
     posterior = _about_optima(specimen, searched) if residual == "whitened" else None
@@ -235,7 +230,7 @@ def summarise(
     if posterior is not None:
         excess, covariance, optima = posterior.excess, posterior.draws.covariance, posterior.optima
     else:
-        # a misfit that the stated noise does not explain widens it, Birge's ratio
+        # a misfit that the stated noise does not explain widens it by Birge's ratio
         excess = misfit_over_noise(measurement, relative, unknowns.size)
         jacobian = prediction.jacobian[0, order]
         covariance = linearised_covariance(jacobian, prior_sd, measurement, noise, residual, excess)
@@ -248,7 +243,7 @@ def summarise(
         order,
         dict(zip(unknowns.names, prior_sd.tolist(), strict=True)),
     ).errors(usual=residual == "whitened")
-    # a prior far from the list may leave a misfit that the constants of the search do not
+    # a prior far from the list may leave a misfit where the constants of the search leave none
     explained = excess == 1.0 == misfit_over_noise(measurement, relative, unknowns.size)
     freedom = measurement.size - unknowns.size if inferred or not explained else np.inf
     sd = np.sqrt(np.diag(covariance))
@@ -303,7 +298,7 @@ class _Sampled:
     """The posterior about the optima of a search.
 
     excess : factor by which the stated noise is widened
-    optima : of the density, the best one first, that the noise does not tell apart
+    optima : of the density that the noise leaves open, the best one first
     by_sizes : (n_f,) factors on the frequencies there, by the most probable errors of sizes and mass
     alone : as of `PointEstimate`
     """
@@ -347,7 +342,7 @@ def _about_optima(specimen: Specimen, searched: Search) -> _Sampled:
 def _optima(density: CorrelatedDensity, optima: Optima, searched: Sequence[Optimum]) -> tuple[Optimum, ...]:
     """Optima of a density that its best one does not exclude, 95 % of chi-squared; swarms as of the nearest.
 
-    searched : optima of the misfit, which the derivatives began from
+    searched : optima of the misfit, from which the derivatives started
     """
     x, n = density.scores.to_x(optima.z), len(searched[0].x)
     misfits = density.misfit(x, density.predict(x)[0])
@@ -363,7 +358,7 @@ def _optima(density: CorrelatedDensity, optima: Optima, searched: Sequence[Optim
 def _within_noise(
     searched: Search, measurement: Measurement, noise: float, residual: Residual
 ) -> tuple[Optimum, ...]:
-    """The optima whose misfit exceeds the best by what the noise may, 95 % of chi-squared.
+    """Optima whose misfit exceeds the best by no more than the noise allows, 95 % of chi-squared.
 
     As many degrees of freedom as unknowns; the best one alone where the noise is not known.
     """
@@ -425,7 +420,7 @@ def bound_of(value: float, lower: float, upper: float) -> Literal["lower", "uppe
 
 
 def _with_sizes(scales: tuple[ScaleError, ...], names: tuple[str, ...], values: Array, sd: Array) -> Array:
-    """Standard deviations of constants (n,) with what the sizes of the plate add to them."""
+    """Standard deviations of constants (n,), those by the errors of the plate's sizes included."""
     if not scales:
         return sd
     return np.asarray(np.hypot(sd, np.abs(values) * [sizes_spread(scales, name) for name in names]))
@@ -448,7 +443,7 @@ def _constant(
     value, prior = float(at_optima[0]), specimen.unknowns[name].prior
     elsewhere = tuple(sorted(v for v in at_optima[1:].tolist() if abs(v - value) > _APART * sd))
     bound = bound_of(value, prior.lower, prior.upper)
-    # as far apart as the optima are, the frequencies do not determine it
+    # within the distance of the optima the frequencies do not determine it
     spread = float(np.hypot(sd, np.std([value, *elsewhere])))
     verdict = verdict_of(spread, prior.sd, at_bound=bound is not None, explained=explained)
     reference = float(specimen.material.complete()[name])
@@ -471,8 +466,8 @@ def _constant(
     )
 
 
-# Fraction of a search interval that counts as touching a bound, and of the posterior there that an even one
-# would not have.
+# Fraction of a search interval that counts as touching a bound, and fraction of the posterior there, above
+# that of a uniform one, from which a constant is at the bound.
 _TOUCH, _AT_BOUND = 0.01, 0.05
 
 
@@ -521,14 +516,14 @@ _FRACTION_OF_NOISE = 0.2
 _SEARCH_ERROR = 3e-4
 # A relative residual beyond this is no scatter of a measurement any more.
 _POOR_FIT = 0.05
-# A posterior predictive p-value this far out says that noise alone does not explain the residuals.
+# Posterior predictive p-value below which noise alone does not explain the residuals.
 _P_LOW = 0.02
 
 
 def point_notices(result: PointEstimate, residual: Residual) -> tuple[Notice, ...]:
     """Every reason not to trust the numbers of a swarm as they stand.
 
-    residual : what the swarm minimised.
+    residual : kind of residual that the swarm minimised.
     """
     limit = _FRACTION_OF_NOISE * result.noise if math.isfinite(result.noise) else LARGE_ERROR
     found = {c.name: c.value for c in result.constants}
@@ -547,7 +542,7 @@ def point_notices(result: PointEstimate, residual: Residual) -> tuple[Notice, ..
 
 
 def _other_misfit(result: PointEstimate, residual: Residual) -> Iterator[Notice]:
-    """A notice if the swarm saw another misfit at its best than the full plate model has there."""
+    """Notice if the misfit at the swarm's best differs from that of the full plate model there."""
     measurement = result.specimen.measurement
     assert measurement is not None
     predicted = np.array([mode.frequency for mode in result.predicted])
@@ -571,7 +566,7 @@ def _poor_fit(result: PointEstimate) -> Iterator[Notice]:
     predicted = np.array([mode.frequency for mode in result.predicted])
     relative = predicted / measurement.frequencies - 1.0
     worst = int(np.argmax(np.abs(relative)))
-    # Beyond this ratio the units are suspected, which a notice of its own says.
+    # Beyond this ratio the units are suspected, of which there is a separate notice.
     off_by_units = abs(np.log1p(relative[worst])) > np.log(SUSPICIOUS_RATIO)
     if not off_by_units and abs(relative[worst]) > _POOR_FIT:
         yield Notice("poor_fit", facts={"mode": worst + 1, "residual": float(relative[worst])})
@@ -641,7 +636,7 @@ def sampled_notices(
 
 
 def transcription_notice(doubt: TranscriptionError) -> Notice:
-    """A complete list that looks as if it were not."""
+    """Notice of a complete list that appears to have a transcription error."""
     facts = {
         "missed": None if doubt.missed is None else (doubt.missed.label, doubt.missed.frequency),
         "spurious": doubt.spurious,

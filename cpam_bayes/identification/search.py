@@ -1,10 +1,10 @@
-"""Where the misfit of a plate is smallest: the paper's swarm, alone or several, each polished by derivatives.
+"""Minimum of a plate's misfit by the paper's swarm, alone or several, each polished by derivatives.
 
-A swarm that has converged has agreed, no more: it may have agreed on the wrong one of two optima. Several
-swarms are therefore run, what each began and ended with is optimised by damped Gauss-Newton steps, and the
-best optimum counts when two swarms have found it.
+The particles of a converged swarm agree, but perhaps on the wrong one of two optima. Several swarms are
+therefore run, their first and last positions are optimised by damped Gauss-Newton steps, and the best optimum
+counts when two swarms have found it.
 
-From a plate file to a posterior and the swarm that its ensembles start from.
+Also the posterior of a plate file, and the swarm from which its ensembles start.
 """
 
 from __future__ import annotations
@@ -48,21 +48,22 @@ NO_MESH: Final = (
 Array = NDArray[Any]
 Residual = Literal["absolute", "relative", "whitened"]
 
-# Swarms at most, at least, and how many of them have to find the best optimum.
+# Most swarms, fewest swarms, and how many of them have to find the best optimum.
 MOST_SWARMS, LEAST_SWARMS, FOUND_AGAIN = 12, 3, 2
 # Relative error of the plate model at the answer above which the model is converged anew there.
 _ACCEPTED_ERROR = 5e-4
-# A model converged at the answer that has more than this fraction of the error before is as good as any.
+# Most models of a search, and the fraction of the error before above which a model converged at the answer is
+# as good as any.
 _MOST_MODELS, _LOWER_ERROR = 3, 0.7
 # Constants that differ by less than this, relative, have the same error of the plate model.
 _SAME_PLACE = 1e-3
 # Half the width of a search interval in standard deviations of a uniform density over it.
 _HALF_WIDTH = 3.0**0.5
-# Steps of a polishing, optima that are the same: standard deviations apart at the noise of the best one.
+# Steps of a polishing; distance of equal optima, standard deviations at the noise of the best one.
 _STEPS, _SAME = 40, 1.0
 # Optima this far above the best misfit, in units of the noise, are dropped.
 _DEPTH = 50.0
-# Least rms misfit, relative to the highest frequency, that noise is taken from: rounding of exact lists.
+# Least rms misfit, relative to the highest frequency, that counts as noise: rounding of exact lists.
 LEAST_RMS = 1e-7
 
 
@@ -133,18 +134,18 @@ def search(
     progress: Callable[[int, float], None] | None = None,
     notify: Callable[[str], None] = lambda text: None,
 ) -> Search:
-    """The minimum of ``misfit`` over the unknowns of a plate file, on a reduced model.
+    """Minimum of ``misfit`` over the unknowns of a plate file, on a reduced model.
 
     Frequencies with a label are compared with the mode that has it, the others in ascending order.
     Raises ``ValueError`` if the specimen has no measured frequencies or no unknowns, or if no particle is
     feasible, and ``LabelError`` for labels that the model does not have.
 
-    swarms : at most so many; 1 is the paper's single swarm as it ends, not polished
-    spare : modes of the model more than the list has
+    swarms : largest number; 1 is the paper's single swarm as it ends, not polished
+    spare : modes of the model beyond those of the list
     bias : of the theory, in the frequencies that are compared
     centre : (n,) constants where the plate model is converged; left out, it is at the reference, and at the
         answer if that is far from it
-    progress : told the iteration, of all swarms together, and the best misfit of the one that is running
+    progress : called with the iteration over all swarms and the best misfit of the one that is running
     """
     measurement, unknowns = required(specimen)
     settings = settings or SwarmSettings()
@@ -192,7 +193,7 @@ class _Task:
     sd: Array | None
 
     def objective(self, x: Array) -> Array:
-        """The misfit at constants (m, n), (m,)."""
+        """Misfit (m,) at constants (m, n)."""
         f = self.model.predict(x).frequencies[:, : self.measurement.size]
         if self.sd is not None:
             return np.asarray(np.sum(((f - self.measurement.frequencies) / self.sd) ** 2, axis=1))
@@ -200,7 +201,7 @@ class _Task:
 
     @property
     def weight(self) -> Array:
-        """Factors of the differences that are squared, (n_f,)."""
+        """Weights (n_f,) of the differences before they are squared."""
         measured = self.measurement.frequencies
         if self.sd is not None:
             return 1.0 / self.sd
@@ -208,12 +209,12 @@ class _Task:
 
     @property
     def half(self) -> Array:
-        """Constants per unit of the coordinates of a polishing, whose bounds are +-3^(1/2), (n,)."""
+        """Constants (n,) per unit of the coordinates of a polishing, whose bounds are +-3^(1/2)."""
         return np.asarray(0.5 * (self.unknowns.upper - self.unknowns.lower) / _HALF_WIDTH)
 
     @property
     def middle(self) -> Array:
-        """Middles of the search intervals, (n,)."""
+        """Middles (n,) of the search intervals."""
         return np.asarray(0.5 * (self.unknowns.lower + self.unknowns.upper))
 
     def to_x(self, u: Array) -> Array:
@@ -222,17 +223,17 @@ class _Task:
         return np.asarray(np.clip(x, self.unknowns.lower, self.unknowns.upper))
 
     def variance(self, value: float) -> float:
-        """Variance of a difference if a misfit is noise, at least that of rounding."""
+        """Variance of a difference if the misfit is noise, at least that of rounding."""
         f = self.measurement.frequencies
         least = len(f) * (LEAST_RMS * float((self.weight * f).max())) ** 2
         return max(value, least) / max(len(f) - self.unknowns.size, 1)
 
     def start(self, rng: np.random.Generator) -> Array:
-        """Start positions of a swarm, (particles, n)."""
+        """Start positions (particles, n) of a swarm."""
         return material_swarm(self.specimen.material, self.unknowns, self.settings.particles, rng)
 
     def swarm(self, start: Array, rng: np.random.Generator, progress: Progress) -> SwarmResult:
-        """A swarm from these positions."""
+        """Run a swarm from these positions."""
         bounds = self.unknowns.lower, self.unknowns.upper
         feasible = self.model.full.admissible
         return minimise(
@@ -244,7 +245,7 @@ class _Task:
 class _Swarms:
     """Swarms that run one after the other until two of them have found the best optimum.
 
-    most : number of swarms at most; one alone is not polished
+    most : largest number of swarms; one alone is not polished
     first : the first one, as a single one would run
     optima : of all so far, the best first
     """
@@ -324,13 +325,13 @@ def swarm_seed(seed: int, k: int) -> int | list[int]:
 
 
 def shifted(progress: Progress, done: int) -> Progress:
-    """The progress of a swarm that begins after so many iterations of others."""
+    """Progress callback of a swarm that begins after so many iterations of others."""
     return None if progress is None else lambda iteration, best: progress(done + iteration, best)
 
 
 @dataclass(frozen=True, slots=True)
 class _Ends:
-    """Where the polishing of one swarm ended.
+    """Ends of the polishing of one swarm.
 
     u : (m, n) constants from -1 to 1 times the half width of their intervals
     value : (m,) misfits
@@ -391,7 +392,7 @@ def _polished(task: _Task, start: Array, value: float) -> _Ends:
 
 
 def _distinct(task: _Task, ends: Sequence[_Ends]) -> tuple[Optimum, ...]:
-    """The optima that swarms found, the best first, each with the number of swarms that did."""
+    """Distinct optima, the best first, each with the number of swarms that found it."""
     u = np.concatenate([e.u for e in ends])
     value = np.concatenate([e.value for e in ends])
     curvature = np.concatenate([e.curvature for e in ends])
@@ -404,7 +405,7 @@ def _distinct(task: _Task, ends: Sequence[_Ends]) -> tuple[Optimum, ...]:
     return tuple(Optimum(task.to_x(u[i]), float(value[i]), len(set(swarm[of == i].tolist()))) for i in best)
 
 
-# Modes looked at beyond a list that may lack some, and beyond one that says it does not.
+# Modes considered beyond a list that may lack some, and beyond a complete one.
 _SPARE_MODES, _ONE_MORE = 4, 1
 
 
@@ -432,7 +433,7 @@ def posterior(
     degrees_of_freedom: float = np.inf,
     near: Neighbour | None = None,
 ) -> Posterior:
-    """The posterior of the unknowns of a plate, of its sizes and of the frequency scale: that of `sample`.
+    """Posterior of a plate's unknowns, of its sizes and of the frequency scale: that of `sample`.
 
     The building block for one's own sampler or optimiser: ``log_prob`` takes parameter vectors (m, n) in SI
     units, in the order of ``parameters.names``, and returns (m,). The plate model is converged about the
@@ -442,7 +443,7 @@ def posterior(
     ----------
     plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
     likelihood, degrees_of_freedom : of the noise, see `sample`
-    near : a plate of slightly other sizes, whose trial functions are taken unconverged where they suit
+    near : a plate of slightly other sizes, whose trial functions are reused unconverged where they suit
 
     Raises
     ------
@@ -474,7 +475,7 @@ def posterior(
 
 
 def _bias_of(specimen: Specimen, likelihood: Likelihood) -> Bias:
-    """That of the theory; eq. (7), the absolute likelihood, is of the theory alone."""
+    """Bias of the theory; ``THEORY_ALONE`` for eq. (7), the absolute likelihood."""
     return THEORY_ALONE if likelihood == "absolute" else theory_bias(specimen)
 
 
@@ -486,9 +487,9 @@ def _posterior_about(
     likelihood: Likelihood,
     degrees_of_freedom: float,
 ) -> Posterior:
-    """The posterior with the known errors of a model as they are at a parameter vector (n,).
+    """Posterior with the known errors of a model evaluated at a parameter vector (n,).
 
-    Those of eq. (7), the absolute likelihood, are the solver's and those of sizes whose sd the file states.
+    For eq. (7), the absolute likelihood, they are the solver's and those of sizes whose sd the file states.
 
     error : (n_modes,) of the solver there
     """
@@ -520,7 +521,7 @@ def start_of(
     swarm_settings: SwarmSettings | None = None,
     notify: Callable[[str], None] = lambda text: None,
 ) -> Start:
-    """The posterior of a specimen's unknowns, its sizes and the frequency scale.
+    """Posterior of a specimen's unknowns, sizes and frequency scale, and the swarm that starts its sampling.
 
     A complete list is first fitted by the paper's swarm with the sizes of the plate file, an
     incomplete one by a swarm on the posterior itself. likelihood, degrees_of_freedom : of the noise,

@@ -1,7 +1,7 @@
-"""Specimens that could be made of the material of a plate, and what their frequencies would say of it.
+"""Possible specimens of a plate's material, and the information of their frequencies about the constants.
 
-A specimen is a layup, a shape, a thickness and edges. What a list of its frequencies would say about the
-constants is Laplace's approximation at the reference constants.
+A specimen is a layup, a shape, a thickness and edges. The expected information of a list of its frequencies
+is by Laplace's approximation at the reference constants.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ Array = NDArray[Any]
 
 USUAL_STD: Final = 0.005
 """Repeatability of a usual tap test, taken where neither the plate file nor the caller gives one."""
-# Repeatabilities that are tried for the one that determines the constants, from coarse to fine.
+# Repeatabilities that are tried, from coarse to fine, for the one that determines the constants.
 _STDS: Final = tuple(step * 10.0**power for power in (-2, -3, -4, -5) for step in (5.0, 2.0, 1.0))
 
-# Usual layups of n plies, each with the number that its pattern takes.
+# Usual layups, each with the number of plies of its pattern.
 _PATTERNS: Final = (
     (1, "[0_{n}]"),
     (4, "[(0/90)_{n}]_s"),
@@ -44,13 +44,13 @@ _PATTERNS: Final = (
     (8, "[(0/45/-45/90)_{n}]_s"),
 )
 _RATIOS: Final = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8)
-# Shapes closer than this, relative, are one.
+# Relative difference of aspect ratios below which two shapes are one.
 _SAME: Final = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """A specimen but for the number of its modes; length, width, thickness : m."""
+    """Geometry, layup and edges of a specimen; length, width, thickness : m."""
 
     length: float
     width: float
@@ -73,10 +73,11 @@ def geometries(
     thicknesses_mm: Sequence[float] | None = None,
     edges: Sequence[str] | None = None,
 ) -> tuple[Geometry, ...]:
-    """The plate as it is and all combinations of what may be varied; what is left out takes usual values.
+    """The plate as it is and all combinations of the arguments; those left out take usual values.
 
     ratios : of length to width, at the area of the plate
-    raises ValueError for a layup or edges that cannot be read
+
+    Raises ``ValueError`` for a layup or edges that cannot be read.
     """
     plate = specimen.plate
     present = Geometry(plate.length, plate.width, plate.thickness, plate.layup, plate.edges, True)
@@ -97,7 +98,7 @@ def geometries(
 
 
 def specimen_of(specimen: Specimen, geometry: Geometry) -> Specimen:
-    """The specimen made so; its mass follows the volume, known masses keep their place in proportion."""
+    """Specimen of a geometry; its mass follows the volume, known masses keep their relative place."""
     plate = specimen.plate
     along, across = geometry.length / plate.length, geometry.width / plate.width
     volume = along * across * geometry.thickness / plate.thickness
@@ -115,7 +116,7 @@ def specimen_of(specimen: Specimen, geometry: Geometry) -> Specimen:
 
 
 def layups_of(specimen: Specimen, layups: Sequence[str] | None) -> tuple[Layup, ...]:
-    """The layups asked for, or the one of the plate and usual ones of as many plies."""
+    """Requested layups, or the plate's and usual ones of as many plies."""
     present = specimen.plate.layup
     if present.kinds:
         if layups:
@@ -155,7 +156,7 @@ def _edges(text: str) -> str:
 
 
 def _shapes(length: float, width: float, ratios: Sequence[float] | None) -> list[tuple[float, float]]:
-    """Lengths and widths of plates of one area, ascending by their ratio, the present one as it is."""
+    """Lengths and widths of plates of one area, by ascending ratio, the present one unchanged."""
     present, side = length / width, math.sqrt(length * width)
     wanted = list(ratios) if ratios else [present, *_RATIOS]
     shapes = []
@@ -174,7 +175,7 @@ def _key(g: Geometry) -> tuple[object, ...]:
 
 # A tenth of a usual measurement's noise will do.
 _TOLERANCE = Tolerance(kept=3e-4, rich=2e-4)
-# Constants beside the reference ones, so that equal ones make no symmetry; relative.
+# Relative offset of constants from the reference, so that equal ones cause no symmetry.
 _BESIDE = 0.01
 
 
@@ -184,7 +185,7 @@ class Response:
 
     frequencies : (n_modes,) Hz
     slopes : (n_modes, n) their derivatives by the constants for each standard deviation of the prior, Hz,
-        then what they have in common: the errors of sizes, mass and frequency scale, and of clamps that give
+        then their common errors: of sizes, mass and frequency scale, and of compliant clamps
     error : (n_modes,) estimated relative error
     precision : (n, n) inverse of the priors' correlation
     """
@@ -197,7 +198,7 @@ class Response:
 
 @dataclass(frozen=True, slots=True)
 class Test:
-    """How frequencies would be measured; relative_std : repeatability, resolution : Hz."""
+    """Noise of a planned test; relative_std : repeatability, resolution : Hz."""
 
     __test__ = False  # it is none of pytest's
 
@@ -207,9 +208,9 @@ class Test:
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """The expected answer from a list.
+    """Expected information of a list.
 
-    information : about the constants asked for, nats
+    information : about the requested constants, nats
     each : (n,) about each constant alone, nats
     sd : (n,) standard deviations of the constants, SI
     """
@@ -220,13 +221,12 @@ class Expected:
 
 
 def response_of(specimen: Specimen, n_modes: int) -> Response:
-    """The frequencies of a specimen and their derivatives, on a Ritz space converged at the reference.
+    """Frequencies of a specimen and their derivatives, on a Ritz space converged at the reference.
 
-    Sizes, mass and frequency scale have the errors of `known_errors`, stated or usual. A clamp gives in
-    rotation and in translation by one standard deviation of the catalogue: how much it does is no better
-    known.
+    Sizes, mass and frequency scale have the errors of `known_errors`, stated or usual. A clamp is compliant
+    in rotation and in translation by one catalogue standard deviation: its compliance is not better known.
 
-    Raises ``RigidBodyError`` where bending cannot be told from rounding.
+    Raises ``RigidBodyError`` where bending is lost in rounding.
     """
     parameters = specimen.unknowns
     problem = plate_problem(specimen, parameters)
@@ -250,7 +250,7 @@ def response_of(specimen: Specimen, n_modes: int) -> Response:
 
 
 def _of_clamps(specimen: Specimen, x: Array, n_modes: int, settings: RitzSettings) -> list[Array]:
-    """Shifts of ln f by clamps that give, one standard deviation of the catalogue each, (n_modes,).
+    """Shifts (n_modes,) of ln f by each compliance of the clamps, one catalogue standard deviation.
 
     settings : of a Ritz space that is converged for the ideal clamps; opened, it serves for both
     """
@@ -272,14 +272,13 @@ def _of_clamps(specimen: Specimen, x: Array, n_modes: int, settings: RitzSetting
 def expected_information(
     response: Response, n_modes: int, test: Test, prior: Array, asked: Array
 ) -> Expected:
-    """The information of the lowest modes about constants, with everything else integrated over.
+    """Information of the lowest modes about constants, with everything else integrated out.
 
     The posterior at the reference is Gaussian with the precision F + P^-1, F = J^T S^-1 J the Fisher
     information of the frequencies and P the covariance of the priors. The expected information is
-    I = 1/2 (log det P_A - log det C_A), C_A the block of the constants asked for in (F + P^-1)^-1, what the
-    frequencies have in common integrated over
-    (Lindley, 1956; Chaloner and Verdinelli, 1995). S = (relative_std f)^2 + resolution^2 / 12 +
-    (solver's error)^2.
+    I = 1/2 (log det P_A - log det C_A), C_A the block of the requested constants in (F + P^-1)^-1, the common
+    errors of the frequencies integrated out (Lindley, 1956; Chaloner and Verdinelli, 1995).
+    S = (relative_std f)^2 + resolution^2 / 12 + (solver's error)^2.
 
     prior : (n,) standard deviations of the constants' priors; asked : (n,) bool
     """
@@ -298,10 +297,10 @@ def expected_information(
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A specimen with a number of modes, and what its list would say.
+    """A specimen with a number of modes, and the expected information of its list.
 
     is_present : whether it is the plate as it is, with as many modes as were measured, or 10
-    information : about the constants asked for, nats
+    information : about the requested constants, nats
     """
 
     geometry: Geometry
@@ -311,7 +310,7 @@ class Candidate:
 
     @property
     def information(self) -> float:
-        """About the constants asked for, nats."""
+        """Expected information about the requested constants, nats."""
         return self.expected.information
 
     @property
@@ -326,7 +325,7 @@ class Candidate:
 
 
 def needed_std(response: Response, n_modes: int, test: Test, prior: Array, asked: Array) -> float | None:
-    """The largest repeatability, of 1, 2 and 5 times powers of ten, by which the data determine all asked."""
+    """Largest repeatability, 1, 2 or 5 times a power of ten, at which the data determine all asked."""
     for std in _STDS:
         sd = expected_information(response, n_modes, Test(std, test.resolution), prior, asked).sd
         verdicts = [
@@ -339,7 +338,7 @@ def needed_std(response: Response, n_modes: int, test: Test, prior: Array, asked
 
 
 def measured_like(specimen: Specimen, relative_std: float | None) -> tuple[Test, bool]:
-    """How frequencies would be measured, and whether its noise is that of a usual tap test."""
+    """Noise of further tests of a specimen, and whether it is that of a usual tap test."""
     measurement = specimen.measurement
     resolution = 0.0 if measurement is None else measurement.resolution
     if relative_std is not None:

@@ -1,1 +1,1 @@
-"""One log probability of a plate's parameters, its optima, integrals and draws."""
+"""The log probability of a plate's parameters, its optima, integrals and draws."""

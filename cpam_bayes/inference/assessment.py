@@ -1,4 +1,4 @@
-"""The worth of a sampled posterior: what determines it, what moves it, and whether it fits its data."""
+"""Assessment of a sampled posterior: what determines it, what moves it, and whether it fits its data."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from cpam_bayes.plate import Constraint, Hybrid, Material
 
 @dataclass(frozen=True, slots=True)
 class Combination:
-    """A product of powers of the plate's parameters that the frequencies see as one number.
+    """A product of powers of the plate's parameters that the frequencies determine as one number.
 
     exponents : (n_plate,) the largest in size is 1.
     singular_value : of the weighted Jacobian, the prior's sd over the noise's along the combination.
     noise_sd, prior_sd : standard deviations of the product's logarithm, by the frequencies alone (infinite
-    where they say nothing) and by the prior.
+    where they carry no information) and by the prior.
     """
 
     exponents: Array
@@ -60,7 +60,7 @@ def weighted_jacobian(posterior: Posterior, x: Array, pairing: Pairing) -> Array
 
 
 def paired(pairing: Pairing) -> tuple[Array, Array]:
-    """Frequencies that have a mode and those modes, (n_pairs,) each."""
+    """Indices of the frequencies with a mode and of their modes, (n_pairs,) each."""
     rows = np.flatnonzero(pairing.mode >= 0)
     return rows, pairing.mode[rows]
 
@@ -84,7 +84,7 @@ def combinations(posterior: Posterior, x: Array, pairing: Pairing) -> tuple[Comb
 def _combination(powers: Array, singular_value: float) -> Combination:
     largest = powers[np.argmax(np.abs(powers))]
     scale = float(1.0 / abs(largest))
-    # below rounding of the Jacobian nothing is measured
+    # singular values below the Jacobian's rounding carry no information
     noise_sd = scale / singular_value if singular_value > 1e-12 else np.inf
     return Combination(powers / largest, singular_value, noise_sd, scale)
 
@@ -101,7 +101,7 @@ Diagnosis = Literal[
 THRESHOLD = 0.05
 # Fraction of the search interval by which a bound is moved inwards.
 MOVED = 0.1
-# Fewer effective draws than this left inside say nothing about a mean.
+# Fewest draws left inside that determine a mean.
 _FEWEST = 100
 
 
@@ -109,8 +109,8 @@ _FEWEST = 100
 class PowerScaling:
     """Sensitivity of one parameter's posterior to the powers of priors and likelihood.
 
-    prior : of all but the noise.
-    noise_prior : of the noise, 0 where its amplitude is given.
+    prior : to the priors of all parameters but the noise.
+    noise_prior : to the prior of the noise, 0 where its amplitude is given.
     """
 
     name: str
@@ -120,7 +120,7 @@ class PowerScaling:
 
     @property
     def diagnosis(self) -> Diagnosis:
-        """The verdict of both, by the published threshold of 0.05."""
+        """Verdict on prior and likelihood, by the published threshold of 0.05."""
         if self.likelihood < THRESHOLD:
             return "prior is strong, likelihood weak" if self.prior >= THRESHOLD else "likelihood is weak"
         if self.prior >= THRESHOLD:
@@ -132,11 +132,11 @@ class PowerScaling:
 
 @dataclass(frozen=True, slots=True)
 class MovedBound:
-    """The change by moving one bound of a uniform prior inwards by a tenth of its interval.
+    """Effect of moving one bound of a uniform prior inwards by a tenth of its interval.
 
-    cut : fraction of the draws that lies beyond.
-    shift : (n,) of every parameter's mean, in its posterior standard deviation, ``nan`` where too few draws
-    are left.
+    cut : fraction of the draws beyond the moved bound.
+    shift : (n,) of every parameter's mean, in posterior standard deviations, ``nan`` where too few draws are
+    left.
     """
 
     name: str
@@ -150,9 +150,9 @@ def power_scaling(
 ) -> tuple[PowerScaling, ...]:
     """Power-scaling sensitivity of every parameter (Kallioinen et al., 2023), by ``arviz_stats.psense``.
 
-    The distance between the posterior p(theta) p(y | theta) and the one in which a factor has the power
-    a, per log2 a at a = 1, as cumulative Jensen-Shannon distance. The noise's prior is scaled apart from the
-    others. A uniform prior has the sensitivity 0: ``moved_bounds`` moves its bounds.
+    The cumulative Jensen-Shannon distance between the posterior p(theta) p(y | theta) and the one in which a
+    factor has the power a, per log2 a at a = 1. The noise's prior is scaled separately from the others. A
+    uniform prior has the sensitivity 0: ``moved_bounds`` moves its bounds.
 
     draws (m, n) independent of each other; log_prior of all but the noise, log_noise_prior,
     log_likelihood (m,).
@@ -185,7 +185,7 @@ def power_scaling(
 
 
 def moved_bounds(parameters: ParameterSet, draws: Array) -> tuple[MovedBound, ...]:
-    """Changes of the means by each bound of the uniform priors, by leaving out the draws beyond.
+    """Effects of moving each bound of the uniform priors inwards, by leaving out the draws beyond.
 
     draws : (m, n).
     """
@@ -207,19 +207,19 @@ def moved_bounds(parameters: ParameterSet, draws: Array) -> tuple[MovedBound, ..
     return tuple(bounds)
 
 
-# A constraint cuts a posterior that has this fraction of its draws within so many of their standard
-# deviations of it: of a normal density that is one with 5 % or more of it beyond.
+# A constraint cuts a posterior if this fraction of its draws lies within so many of their standard deviations
+# of it: of a normal density, if 5 % or more of it is beyond.
 _NEAR_SD, _LEAST_FRACTION = 0.1, 0.01
-# An optimum lies on a constraint that a step of this fraction of a search interval breaks.
+# An optimum lies on a constraint that a step of this fraction of a search interval violates.
 _STEP: Final = 1e-3
 
 
 def cutting_constraints(margins: Array, constraints: Sequence[Constraint]) -> tuple[Constraint, ...]:
-    """The constraints that draws crowd against.
+    """The constraints that cut the posterior of the draws.
 
     margins : (m, n_constraints) of equally probable draws, see `constraint_margins`; (n_constraints,) where
-        no draw moves them
-    constraints : what each is, n_constraints
+        they are the same for all draws
+    constraints : n_constraints of them
     """
     margins = np.atleast_2d(margins)
     near = np.mean(margins < _NEAR_SD * margins.std(axis=0), axis=0)
@@ -229,7 +229,7 @@ def cutting_constraints(margins: Array, constraints: Sequence[Constraint]) -> tu
 def limiting_constraints(
     material: Material | Hybrid, unknowns: ParameterSet, x: Array
 ) -> tuple[Constraint, ...]:
-    """The constraints that a small step of one constant breaks; x : (n,), an optimum."""
+    """The constraints that a small step of one constant violates; x : (n,), an optimum."""
     step = _STEP * np.diag(unknowns.upper - unknowns.lower)
     margins = np.atleast_2d(material.margins(unknowns.mapping(np.concatenate((x + step, x - step)))))
     return _chosen(material.constraints, np.any(margins <= 0.0, axis=0))
@@ -245,10 +245,10 @@ def cut_notices(material: Material | Hybrid, draws: Mapping[str, Array]) -> tupl
     return tuple(Notice("cut_posterior", facts={"constraint": c}) for c in constraints)
 
 
-# Pareto k-hat above which importance sampling does not replace leaving a mode out.
+# Pareto k-hat above which importance sampling is unreliable for leaving a mode out.
 K_HAT_LIMIT = 0.7
-# Leverage from draws above which their spread is not taken for that of a Gaussian: where a posterior
-# has several optima it is wider than the noise allows.
+# Leverage from draws above which the posterior is not treated as Gaussian: with several optima its spread is
+# wider than the noise allows.
 MOST_LEVERAGE = 0.95
 
 
@@ -256,7 +256,7 @@ MOST_LEVERAGE = 0.95
 class LeftOut:
     """Each paired frequency predicted from all the others, (n_pairs,) each.
 
-    residual : measured less predicted, Hz.
+    residual : measured minus predicted, Hz.
     sd : of the prediction and the noise together, Hz.
     leverage : weight of a mode's frequency in its own prediction, 0 to 1.
     basis : whether predictions and their spread are those of the draws or of a linearisation at the optimum.
@@ -269,7 +269,7 @@ class LeftOut:
 
     @property
     def standardised(self) -> Array:
-        """Residuals over their standard deviations."""
+        """Residuals divided by their standard deviations."""
         return np.asarray(self.residual / self.sd)
 
     @property
@@ -283,8 +283,8 @@ class LeftOut:
 class ImportanceLeftOut:
     """Leave-one-out log score by Pareto-smoothed importance sampling.
 
-    log_score, standard_error : sum over the frequencies.
-    k_hat : (n,) of each.
+    log_score, standard_error : of the sum over the frequencies.
+    k_hat : (n,) of each frequency.
     """
 
     log_score: float
@@ -303,7 +303,7 @@ def predictive_p_value(
     """Probability of a replicate list with larger standardised residuals than the measured one.
 
     The discrepancy is the sum of squared standardised residuals at each draw (Gelman, Meng and Stern,
-    1996), of the frequencies that have a mode. draws (m, n), frequencies (m, n_modes) predicted there.
+    1996) over the frequencies that have a mode. draws (m, n), frequencies (m, n_modes) predicted there.
     """
     rows, columns = paired(pairing)
     sigma = posterior.noise(draws, frequencies)[:, rows, columns]
@@ -318,17 +318,17 @@ def leave_one_out(
 ) -> LeftOut:
     """Leave-one-mode-out residuals in closed form.
 
-    Let the posterior of a mode's frequency be N(m, v) and its noise variance sigma^2. Taking its own
-    datum f out of that Gaussian leaves, with the leverage h = v / sigma^2, the residual
+    Let the posterior of a mode's frequency be N(m, v) and its noise variance sigma^2. Removing its own
+    datum f from that Gaussian leaves, with the leverage h = v / sigma^2, the residual
     (f - m) / (1 - h) and the predictive variance sigma^2 / (1 - h): for a linear Gaussian model those
     of a refit without the mode (Cook and Weisberg, 1982; as the cavity of an approximate posterior,
-    Vehtari et al., 2016). m and v are those of the draws, in which bounds and curvature are. Where that
-    gives a leverage above 0.95 the posterior is no Gaussian, and h is the diagonal of
+    Vehtari et al., 2016). m and v are those of the draws, which include bounds and curvature. Where they
+    give a leverage above 0.95 the posterior is not Gaussian, and h is the diagonal of
     A (A^T A + R^-1)^-1 A^T, A the weighted Jacobian at the optimum, where the residuals are taken too, and R
     the correlation of the priors, mostly 1.
 
-    The noise stays as all modes together have it. Student-t noise counts with the variance that gives the
-    same information for v and with its own variance in the prediction.
+    The noise is that inferred from all modes. Student-t noise counts with the variance that gives the same
+    information for v and with its own variance in the prediction.
 
     draws : (m, n).
     frequencies : (m, n_modes) predicted there, Hz.
@@ -359,9 +359,9 @@ def cavity(
     basis: Literal["draws", "optimum"],
     wider: float = 1.0,
 ) -> LeftOut:
-    """Each mode taken out of residuals, leverages and noise variances that have it, (n_pairs,) each.
+    """Leave-one-out prediction from residuals, leverages and noise variances of all modes, (n_pairs,) each.
 
-    wider : the noise variance of a prediction over that which the leverage counts.
+    wider : noise variance of a prediction over the one in the leverage.
     """
     remaining = 1.0 - leverage
     sd = np.sqrt(noise_variance * (leverage / remaining + wider))
@@ -392,13 +392,13 @@ def importance_leave_one_out(log_density: Array) -> ImportanceLeftOut:
 
 @dataclass(frozen=True, slots=True)
 class Assessment:
-    """The sources of a posterior and its fit, from the draws and from the optimum.
+    """What determines a posterior and how it fits, from the draws and from the optimum.
 
     combinations : best determined first.
     profiles : of the constants.
     power_scaling : of all parameters.
     left_out : in closed form.
-    importance : ``None`` where a list may lack modes, whose frequencies do not stand each for itself.
+    importance : ``None`` where a list may lack modes: its frequencies are not independent of each other.
     """
 
     combinations: tuple[Combination, ...]
@@ -413,7 +413,7 @@ class Assessment:
 class ThinnedDraws:
     """Draws one autocorrelation time apart, ensembles as chains.
 
-    step : steps of the chains between two.
+    step : steps of the chains between two draws.
     draws : (chains, draws, n).
     """
 
@@ -429,7 +429,7 @@ class ThinnedDraws:
 def thinned(result: EnsembleResult) -> ThinnedDraws:
     """Draws of the ensembles, thinned by the autocorrelation time.
 
-    An ensemble is one chain, step by step with all its walkers, which move by each other's positions.
+    An ensemble is one chain, step by step with all its walkers, since these move by each other's positions.
     """
     step = max(1, int(np.ceil(result.diagnostics.autocorrelation_time)))
     chain = result.chain[:, ::step]
@@ -442,8 +442,8 @@ def assess(
 ) -> Assessment:
     """Assess a sampled posterior; ``constants`` are the parameters that have profiles.
 
-    Profiles reach far beyond the draws, so the posterior is that on the whole basis. The Jacobian is that at
-    the most probable draw, the noise its median.
+    Profiles reach far beyond the draws, so ``posterior`` must be on the whole basis. The Jacobian is that at
+    the most probable draw, with the median noise.
     """
     draws = thinned(result).flat
     best = result.draws[int(result.log_prob.argmax())].copy()
@@ -472,7 +472,7 @@ def assess(
 def log_likelihoods(
     posterior: Posterior, x: Array, predicted: Array, pairing: Pairing
 ) -> tuple[Array, Array | None]:
-    """Log likelihood at x (m, n) with the frequencies predicted there, (m,), and by frequency.
+    """Log likelihood (m,) at x (m, n) with the frequencies predicted there, and that of each frequency.
 
     The latter (m, n_frequencies) is ``None`` where pairings are summed over.
     """

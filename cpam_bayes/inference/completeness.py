@@ -19,12 +19,12 @@ from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import ParameterSet, Uniform
 from cpam_bayes.plate import Specimen
 
-# Log odds from which another pairing is far more probable.
+# Log odds above which another pairing is far more probable.
 _DOUBTFUL_LOG_ODDS = float(np.log(100.0))
 # Draws from the prior, and those of them from which an optimum is sought for each pairing.
 _DRAWS, _STARTS = 300, 3
 _MAX_STEPS = 25
-# Gain in nats below which an optimum is good enough for odds that count from a hundred on.
+# Gain in nats below which an optimum is good enough for odds that matter above a hundred.
 _FOR_ODDS = 1e-3
 
 
@@ -33,7 +33,7 @@ class AlternativePairing:
     """A pairing with one transcription error, far more probable than one to one in a complete list.
 
     missed : number, from 0, of the model's mode that the list seems to lack, or ``None``.
-    spurious : number of the frequency that seems to be no mode, or ``None``.
+    spurious : number of the frequency that seems to be a false peak, or ``None``.
     log_odds : against one to one.
     x : (n,) parameters where it fits best.
     """
@@ -48,8 +48,8 @@ class AlternativePairing:
 class TranscriptionError:
     """The transcription error that a complete list seems to have, in terms of the plate.
 
-    missed : the mode that a list seems to lack, where the other modes fit best.
-    spurious : the frequency that seems to be no mode, Hz.
+    missed : the mode that a list seems to lack, at the best fit of the other modes.
+    spurious : the frequency that seems to be a false peak, Hz.
     log_odds : against one to one.
     """
 
@@ -83,7 +83,7 @@ def transcription_error(
 
 @dataclass(frozen=True, slots=True)
 class _Pairing:
-    """A one to one pairing of some frequencies with some modes, and the log of its price."""
+    """A one-to-one pairing of some frequencies with some modes, and its log prior probability."""
 
     rows: Array
     columns: Array
@@ -94,7 +94,7 @@ class _Pairing:
 
 @dataclass(frozen=True, slots=True)
 class _Selected:
-    """Some modes of a model."""
+    """A model restricted to some of its modes."""
 
     model: ForwardModel
     columns: Array
@@ -115,13 +115,12 @@ class _Selected:
 def alternative_pairing(posterior: Posterior, best: Array, others: Array) -> AlternativePairing | None:
     """The most probable single transcription error in a complete list, if it is far more probable than none.
 
-    Evidences by Laplace's method of the list paired one to one, with one mode of the model left out, or with
-    one frequency left out, at the prices of ``posterior.pairing``. More than 100 times as probable counts as
-    far. Labelled frequencies keep their modes.
+    Compares evidences by Laplace's method of the list paired one to one, with one mode of the model left out,
+    and with one frequency left out, with the priors of ``posterior.pairing``. Far more is a factor above 100.
+    Labelled frequencies keep their modes.
 
     best : (n,) optimum of the posterior.
-    others : (m, n_plate) further parameters to start from. The model must predict a mode more than there are
-    frequencies.
+    others : (m, n_plate) further starts. The model must predict one mode more than there are frequencies.
     """
     n_plate = posterior.model.parameters.size
     draws = posterior.model.parameters.sample(np.random.default_rng(0), _DRAWS)
@@ -169,9 +168,9 @@ def _pairings(posterior: Posterior, n_modes: int) -> Iterator[_Pairing]:
 def _evidence(
     posterior: Posterior, pairing: _Pairing, x: Array, always: int, predicted: Array
 ) -> tuple[float, Array]:
-    """Log evidence of a pairing with its price, and its optimum (n,).
+    """Log evidence of a pairing, its prior included, and its optimum (n,).
 
-    x : (m, n_plate) parameters of the plate to start from, the first ``always`` for every pairing
+    x : (m, n_plate) starts, of which every pairing takes the first ``always``
     """
     paired = _paired(posterior, pairing)
     residuals = predicted[:, pairing.columns] - paired.measurement.frequencies
@@ -191,7 +190,7 @@ def _evidence(
 
 
 def _paired(posterior: Posterior, pairing: _Pairing) -> Posterior:
-    """The posterior given that the rows of the list are these columns of the model, in order."""
+    """The posterior with rows of the list paired with columns of the model, in order."""
     full_list, noise = posterior.measurement, posterior.noise_model
     unnamed = replace(full_list, labels=("",) * full_list.size, shapes=None)
     measurement = unnamed.of_rows(pairing.rows)
@@ -210,12 +209,12 @@ def _paired(posterior: Posterior, pairing: _Pairing) -> Posterior:
 # Half the 95 % quantile of chi-square with one degree of freedom.
 DROP_95 = 1.920729
 _GRID = 21
-# The grid goes so far beyond the draws, as a fraction of their range, and on to a bound that is near.
+# Margin of the grid beyond the draws, as a fraction of their range, and distance of a bound that is included.
 _BEYOND, _NEAR = 0.15, 0.05
-# Draws that starts are chosen from.
+# Draws from which starts are chosen.
 _CANDIDATES = 4000
-# Times that points start again from their neighbours' ends, the gain in nats that makes it worth it, and that
-# which a step must promise.
+# Most restarts of points from their neighbours' optima, gain in nats that counts as better, and gain that a
+# step must promise.
 _SWEEPS, _BETTER, _PROMISED = 4, 1e-4, 1e-6
 _STEPS = 40
 
@@ -225,12 +224,12 @@ class Profile:
     """Profile likelihood of one parameter, SI.
 
     values : (g,).
-    drop : (g,) largest log likelihood of all less that with the parameter held there, infinite where none was
-    found.
+    drop : (g,) largest log likelihood of all minus that with the parameter held there, infinite where none
+    was found.
     best : the value with the largest likelihood.
     lower, upper : outer ends of the 95 % region, drop <= 1.92, or of the grid where the likelihood does not
     drop so far.
-    lower_open, upper_open : whether that is so.
+    lower_open, upper_open : whether the end is that of the grid.
     parts : separate intervals of the region.
     """
 
@@ -251,8 +250,8 @@ def profile_likelihoods(
     """Profile log likelihood of each of ``names`` on a grid (Raue et al., 2009).
 
     pl(v) = max over the other parameters of log p(data | p) with p_k = v, within bounds and constraints.
-    Priors of ``names`` do not enter, nor even ones; those of the noise and of plate sizes do, over their
-    scores. All grid points are optimised together, from the best draws near them and then from the ends of
+    Priors of ``names`` and uniform ones do not enter; those of the noise and of plate sizes do, over their
+    scores. All grid points are optimised together, from the best draws near them and then from the optima of
     their neighbours.
 
     draws (m, n), log_prob (m,) : of the chains. The grid spans the draws, and the whole search
@@ -265,7 +264,7 @@ def profile_likelihoods(
     index = [posterior.parameters.names.index(name) for name in names]
     grids = [_grid(posterior, k, draws[:, k], n_grid) for k in index]
     starts = [_starts(draws, height, k, grid) for k, grid in zip(index, grids, strict=True)]
-    # the last point is free: it finds the largest likelihood of all
+    # the last point has nothing held: it finds the largest likelihood of all
     held = np.append(np.repeat(index, n_grid), -1)
     even = np.array([p.prior.is_range for p in flat.parameters.parameters], dtype=float)
     profiled = _Profiled(flat, even, held)
@@ -292,7 +291,7 @@ def profile_likelihoods(
 
 
 def _without_priors(posterior: Posterior, names: tuple[str, ...]) -> Posterior:
-    """The posterior with even priors of some parameters between their bounds."""
+    """The posterior with uniform priors of some parameters between their bounds."""
     parameters = tuple(
         replace(p, prior=Uniform(p.prior.lower, p.prior.upper), coupled=None) if p.name in names else p
         for p in posterior.parameters.parameters
@@ -313,7 +312,7 @@ def _grid(posterior: Posterior, k: int, draws: Array, n: int) -> Array:
 
 
 def _starts(draws: Array, height: Array, k: int, grid: Array) -> Array:
-    """For each grid point the best draw near it, moved onto it, (g, n)."""
+    """Starts (g, n): for each grid point the best draw near it, moved onto it."""
     place = np.rint((draws[:, k] - grid[0]) / (grid[1] - grid[0]))
     place = np.clip(place, 0, len(grid) - 1).astype(int)
     order = np.argsort(height, kind="stable")
@@ -328,7 +327,7 @@ def _starts(draws: Array, height: Array, k: int, grid: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _Profiled:
-    """The largest likelihoods with a parameter of each point held.
+    """Maximisation of the likelihood with one parameter of each point held.
 
     even : (n,) 1 for parameters whose priors do not enter, 0 for the others.
     held : (m,) column that is held at each point, -1 for none.
@@ -339,9 +338,9 @@ class _Profiled:
     held: Array
 
     def maximise_again(self, which: Array, start: Array, u: Array, value: Array) -> Array:
-        """Optimise points from scores (k, n); keep in ``u`` and ``value``, of all points, what got higher.
+        """Optimise points from scores (k, n); update ``u`` and ``value``, of all points, where they improved.
 
-        which : (k,) numbers of the points. Returns the numbers of those that did.
+        which : (k,) numbers of the points. Returns the numbers of the improved ones.
         """
         scores = self.posterior.scores
 
@@ -358,9 +357,9 @@ class _Profiled:
         return which[higher]
 
     def from_neighbours(self, u: Array, value: Array, n_grid: int, side: int, changed: Array) -> Array:
-        """Let points start again where their neighbours on one side ended, if these changed.
+        """Restart points from the optima of their neighbours on one side, if these changed.
 
-        Returns which points got higher, (m,) bool.
+        Returns a mask (m,) of the points that improved.
         """
         i = np.arange(len(u) - 1)
         to = i[(i % n_grid + side >= 0) & (i % n_grid + side < n_grid)]
@@ -374,7 +373,7 @@ class _Profiled:
 
 
 def _profile(name: str, values: Array, drop: Array, best: float) -> Profile:
-    """The 95 % region, its ends interpolated in the square root of the drop, which is nearly linear."""
+    """Profile with its 95 % region, ends interpolated in the root of the drop, which is nearly linear."""
     level = np.sqrt(DROP_95)
     root = np.sqrt(np.maximum(drop, 0.0))
     ends = []

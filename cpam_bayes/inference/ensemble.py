@@ -1,8 +1,8 @@
-"""Ensemble sampling by emcee, started from the particle swarm: independent ensembles side by side, in rounds.
+"""Ensemble sampling by emcee, started from the particle swarm: independent ensembles in parallel rounds.
 
 Sampling ends when the ensembles agree (R-hat) and hold enough effective samples, or at a budget. A run that
-was killed goes on from its last stored round, bit for bit as if nothing had happened; a round that was
-damaged since is set aside and sampled again.
+was killed resumes from its last stored round, bit-identical to an uninterrupted one; a stored round that was
+damaged is set aside and sampled again.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from cpam_bayes.parameters import ParameterSet
 from cpam_bayes.running import cut_short, is_time_up
 from cpam_bayes.storage import ARRAYS, read_arrays, write_arrays
 
-# The window is so many times as long as the time itself.
+# Window over the autocorrelation time.
 _WINDOW = 5.0
-# Optima that walkers start about, and how often walkers outside the constraints are drawn again.
+# Most optima about which walkers start, and redraws of walkers outside the constraints.
 _MOST_OPTIMA, _MOST_REDRAWN = 4, 20
 
 
 def integrated_times(chain: Array) -> Array:
-    """Autocorrelation time of every parameter, (steps, walkers, n) -> (n,) steps.
+    """Autocorrelation time (n,), steps, of every parameter of a chain (steps, walkers, n).
 
     tau = 1 + 2 sum_k rho(k) up to the first lag that is at least five times tau (Sokal, 1996), with the
     autocovariance averaged over the walkers (Goodman and Weare, 2010). Deviations are taken from the mean of
-    the whole ensemble: from each walker's own, as in emcee, tau comes out low by 2 window tau / steps.
+    the whole ensemble: from each walker's own mean, as in emcee, tau is too low by 2 window tau / steps.
 
-    nan where a walker does not move. Where no lag is long enough, the largest sum, which tau exceeds.
+    nan where a walker does not move. Where no lag is long enough, the largest sum, a lower bound of tau.
     """
     steps = len(chain)
     size = 1 << (2 * steps - 1).bit_length()  # zeros beyond the chain: no lag wraps round
@@ -56,7 +56,7 @@ class StoreError(ValueError):
 
 
 class Rounds:
-    """Finished rounds of one problem in a directory; a round of another problem is refused.
+    """Store of the finished rounds of one problem in a directory; a round of another problem is refused.
 
     Raises ``StoreError`` where the directory cannot be made, or holds rounds of an earlier version.
     """
@@ -70,11 +70,11 @@ class Rounds:
         self._refuse_earlier_rounds()
 
     def path(self, i: int) -> Path:
-        """Where a round is or will be."""
+        """Path of the file of a round."""
         return self.directory / f"round_{i:04d}{ARRAYS}"
 
     def read(self, i: int) -> tuple[Array, Array, list[Any]] | None:
-        """A stored round, or ``None`` if it was not finished, or is damaged: it is set aside.
+        """A stored round; ``None`` if it was not finished, or is damaged and was set aside.
 
         Raises ``StoreError`` for a round of another problem, and one that cannot be read.
         """
@@ -110,7 +110,7 @@ class Rounds:
         return chain, log_prob, states
 
     def write(self, i: int, chain: Array, log_prob: Array, states: list[Any]) -> str | None:
-        """Store a round; what to say if it could not be."""
+        """Store a round; returns a message if it could not be stored."""
         random = [s.random_state for s in states]
         arrays = {
             "problem": np.array(self.key),
@@ -148,19 +148,19 @@ class Density(Protocol):
         ...
 
     def log_prob(self, x: Array) -> Array:
-        """Log probability of vectors (m, n) but for a constant, (m,), -inf outside the support."""
+        """Log probability (m,) of vectors (m, n) up to a constant, -inf outside the support."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class EnsembleSettings:
-    """How long to sample.
+    """Settings of the ensemble sampler.
 
     ensembles, walkers : independent ensembles and walkers in each.
-    round_steps : steps between two looks at the chains.
-    r_hat, effective : what ends the sampling.
+    round_steps : steps between two checks of the chains.
+    r_hat, effective : largest R-hat and fewest effective draws of converged chains.
     most_steps : the budget.
-    lengths : autocorrelation times that a chain has to be long: a time is known to sqrt(20 / (lengths
+    lengths : least length of a chain in autocorrelation times: a time is known to sqrt(20 / (lengths
     walkers)) (Sokal, 1996).
     jumps : share of the steps that jump to draws of a proposal, where there is one.
     """
@@ -182,7 +182,7 @@ DEFAULT_SETTINGS = EnsembleSettings()
 class Diagnostics:
     """State of the chains, the worst over the parameters.
 
-    autocorrelation_time : steps; where it is not known, all steps, which no chain is long enough for.
+    autocorrelation_time : steps; where unknown, the number of all steps, so that no chain is long enough.
     """
 
     r_hat: float
@@ -200,7 +200,7 @@ class EnsembleResult:
     chain : (ensembles, steps, walkers, n).
     log_prob : (ensembles, steps, walkers).
     solves : forward solves of all steps and of the fit of the proposal.
-    not_stored : why rounds are missing in the store, ``None`` if none is.
+    not_stored : why rounds are missing in the store, ``None`` if none are.
     """
 
     chain: Array
@@ -219,11 +219,11 @@ class EnsembleResult:
 def start_positions(
     posterior: Posterior, swarm: Array, values: Array, n: int, rng: np.random.Generator
 ) -> Array:
-    """Walker positions about the optima that a swarm found, (n, n_parameters).
+    """Walker positions (n, n_parameters) about the optima that a swarm found.
 
-    The swarm's distinct personal bests, the best first, are carried to optima of the posterior. About each
-    lie as many walkers as its mass deserves, by Laplace's method. Raises ``ValueError`` where no particle is
-    in the support of the prior.
+    The swarm's distinct personal bests, the best first, are refined to optima of the posterior. Walkers are
+    shared among these by their mass, by Laplace's method. Raises ``ValueError`` where no particle is in the
+    support of the prior.
 
     swarm : (m, n_plate) personal bests.
     values : (m,) their misfits.
@@ -238,7 +238,7 @@ def start_positions(
         missing = missing[~np.isfinite(posterior.log_prob(found[missing]))]
         if not len(missing):
             return found
-    # at a constraint of the material: closer and closer to the best optimum, which satisfies it
+    # near a constraint of the material: ever closer to the best optimum, which satisfies it
     best, near = scores.to_x(optima.z[0]), 0.5
     while len(missing):
         found[missing] = best + near * (proposal.draw(len(missing), rng) - best)
@@ -248,7 +248,7 @@ def start_positions(
 
 
 def _unlike(posterior: Posterior, swarm: Array, values: Array) -> Array:
-    """The best and most different personal bests of a swarm as parameters of a posterior, (k, n)."""
+    """The best distinct personal bests of a swarm as parameters (k, n) of a posterior."""
     parameters = posterior.parameters
     order = np.argsort(values, kind="stable")
     order = order[np.isfinite(values[order])]
@@ -270,7 +270,7 @@ def _unlike(posterior: Posterior, swarm: Array, values: Array) -> Array:
 
 
 def _noise_of(posterior: Posterior, x: Array) -> float:
-    """Amplitude of the noise that the residuals at a particle (1, n_plate) suggest."""
+    """Noise amplitude suggested by the residuals at a particle (1, n_plate)."""
     f = posterior.measurement.frequencies
     predicted = posterior.predict(x)[0]
     nearest = predicted[np.abs(predicted[None, :] - f[:, None]).argmin(axis=1)]
@@ -303,7 +303,7 @@ def chain_hash(
     seed: int,
     proposal: Proposal | None = None,
 ) -> str:
-    """Hash of all that a chain depends on: the posterior, where it starts, settings, seed and proposal."""
+    """Hash of all inputs of a chain: the posterior, its start, settings, seed and proposal."""
     flat = start.reshape(-1, start.shape[-1])
     parts = [
         problem_hash(posterior, flat),
@@ -329,9 +329,9 @@ def sample(
 
     start : (ensembles, walkers, n).
     proposal : covers the posterior; without one there are local moves only.
-    store : a directory for the rounds; one that holds rounds of the same problem, proposal included, is gone
-    on with, one of another problem raises ``StoreError``. A round that cannot be written ends the storing and
-    not the sampling: the result says so. ``progress`` is told the diagnostics after each round.
+    store : a directory for the rounds; stored rounds of the same problem, proposal included, are resumed,
+    those of another one raise ``StoreError``. A round that cannot be written ends the storing but not the
+    sampling: the result says so. ``progress`` is called with the diagnostics after each round.
 
     Moves: differential evolution (ter Braak, 2006), nine in ten with the usual factor, one in ten with factor
     1, which jumps between separate optima; mixed with them, Metropolis-Hastings jumps to independent draws of
@@ -397,8 +397,8 @@ def diagnose_chains(chain: Array, settings: EnsembleSettings) -> Diagnostics:
     R-hat is that of the split halves of whole ensembles: walkers of one ensemble are not independent
     (Gelman and Rubin, 1992; Vehtari et al., 2021, without rank normalisation). The effective
     number of samples is the number of draws over the integrated autocorrelation time (Goodman and
-    Weare, 2010), estimated from the latter halves of the chains; five such times are left out as burn-in.
-    A walker that does not move leaves the time unknown: the chains then count as not converged.
+    Weare, 2010), estimated from the second halves of the chains; five such times are left out as burn-in.
+    If a walker does not move the time is unknown, and the chains count as not converged.
     """
     steps = chain.shape[1]
     half = chain[:, steps // 2 :]
@@ -415,7 +415,7 @@ def diagnose_chains(chain: Array, settings: EnsembleSettings) -> Diagnostics:
 
 
 def _split_r_hat(chain: Array) -> Array:
-    """R-hat of every parameter over the halves of ensembles, (n,), infinite where no step can be halved."""
+    """R-hat (n,) of every parameter over the halves of ensembles, infinite for chains of one step."""
     n_ensembles, steps, walkers, n = chain.shape
     half = steps // 2
     if not half:
@@ -427,7 +427,7 @@ def _split_r_hat(chain: Array) -> Array:
 
 
 def moves_of(proposal: Proposal | None, jumps: float) -> list[tuple[Any, float]]:
-    """emcee's moves and their shares: jumps to draws of a proposal q, where there is one, and local moves.
+    """Moves of emcee and their shares: jumps to draws of a proposal q, where there is one, and local moves.
 
     A jump from x to a draw y of q is accepted with the probability min(1, p(y) q(x) / (p(x) q(y))).
     """
@@ -450,7 +450,7 @@ def _sampler(density: Density, settings: EnsembleSettings, proposal: Proposal | 
     moves = moves_of(proposal, settings.jumps)
     n = density.parameters.size
     sampler = emcee.EnsembleSampler(settings.walkers, n, density.log_prob, moves=moves, vectorize=True)
-    # emcee wraps the function to print all parameters of a call that is interrupted or fails
+    # emcee wraps the function to print all parameters of a call that fails or is interrupted
     sampler.log_prob_fn = density.log_prob
     return sampler
 

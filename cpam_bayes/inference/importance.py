@@ -1,8 +1,8 @@
 """Importance sampling from Student-t mixtures about the optima, refined where most of the mass lies.
 
-The mixture is one over normal scores, so that nothing is cut: a posterior that piles up on a bound becomes
-a peak with a light tail. Approximations about optima and nodes may miss a narrow bent ridge: after each round
-Gaussians join at the heaviest points so far, from the density's own gradient and curvature there.
+The mixture is over normal scores, so that nothing is truncated: a posterior that piles up on a bound becomes
+a peak with a light tail. Approximations about optima and nodes may miss a narrow curved ridge: after each
+round Gaussians are added at the heaviest points so far, by the density's own gradient and curvature there.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from cpam_bayes.inference.student_mixture import (
 )
 from cpam_bayes.mechanics.problem import Array
 
-# Components with less of the mass propose nothing; degrees of freedom and widening of the others.
+# Least mass of a component that proposes points; degrees of freedom and widening of the components.
 _NEGLIGIBLE, _FREEDOM, _WIDER_ABOUT = 1e-4, 6.0, 1.15
 
 
 def about(z: Array, factor: Array, log_mass: Array) -> tuple[Array, Mixture]:
-    """Numbers of the components that carry mass, the largest first, and the proposal about them.
+    """Indices of the components that carry mass, the largest first, and the proposal about them.
 
     z : (k, n) centres of Gaussians
     factor : (k, n, n) square roots of their covariances
@@ -46,27 +46,27 @@ def about(z: Array, factor: Array, log_mass: Array) -> tuple[Array, Mixture]:
 
 
 def about_optima(optima: Optima) -> Mixture:
-    """The proposal about optima, a stack of one."""
+    """Proposal about optima, a stack of one."""
     return about(optima.z, optima.factor, optima.log_mass)[1]
 
 
-# Gaussians that join after a round, chosen from so many times as many points; they are so far apart at least,
-# and away from their points at most, in their own standard deviations.
+# Gaussians added after a round, chosen from so many times as many points; least distance between them, and
+# largest distance of one from its point, in their own standard deviations.
 _JOIN, _CANDIDATES, _APART, _FURTHEST = 8, 4, 1.0, 2.0
-# Their share of the proposal, the power of the weights by which they divide it, and their factor on standard
-# deviations.
+# Their share of the proposal, the power of the weights by which it is divided, and the factor on their
+# standard deviations.
 _SHARE, _FLAT, _WIDER = 0.5, 0.5, 1.15
 
 
 class Rounds(NamedTuple):
-    """How long to go on, and how components are refitted between two rounds, see ``shrunk_moments``.
+    """Stopping rules, and settings of the refits of components between rounds, see ``shrunk_moments``.
 
-    log2_points, most : of each round, and how many rounds at most
-    least : rounds before which it does not end
-    enough : effective size that is enough
-    steady : change of the log evidence by the last round that is small enough
-    good : effective fraction of the points of the first round with which the proposal is left as it is, and
-        twice its points are enough
+    log2_points, most : log2 of the points of a round, and most rounds
+    least : fewest rounds
+    enough : least effective size
+    steady : largest change of the log evidence in the last round
+    good : effective fraction of the points of the first round above which the proposal is kept as it is, and
+        a second round suffices
     """
 
     log2_points: int = 8
@@ -86,17 +86,17 @@ def importance(
     rounds: Rounds = Rounds(),  # noqa: B008 an immutable default
     expand: Callable[[Array], Expansion] | None = None,
 ) -> tuple[Weighted, Mixture]:
-    """The integrals of m densities by importance sampling from Student-t mixtures, and the blend of these.
+    """Integrals of m densities by importance sampling from Student-t mixtures, and the blend of these.
 
-    Points are those of one scrambled Sobol sequence for all densities, so that differences between these are
-    known better than each alone. After a round the components take mean and covariance from all points so
-    far, and, of a single density, Gaussians join at the heaviest. All points are weighed against the blend of
-    the mixtures of all rounds (Cornuet et al., 2012).
+    All densities share the points of one scrambled Sobol sequence, so that differences between the integrals
+    are more accurate than each alone. After a round the components take mean and covariance from all points
+    so far and, for a single density, Gaussians are added at the heaviest. All points are weighed against the
+    blend of the mixtures of all rounds (Cornuet et al., 2012).
 
     log_density : (m, p, n) -> (m, p)
     mixture : a stack of m, the proposals of the first round
     expand : of a single density, (k, n) -> values, gradients and curvatures, positive definite where the
-        value is finite; without it nothing joins
+        value is finite; without it no Gaussians are added
     """
     m, n = mixture.centre.shape[0], mixture.centre.shape[2]
     size = 1 << rounds.log2_points
@@ -147,7 +147,7 @@ def _refitted(mixture: Mixture, points: Array, log_weight: Array, rounds: Rounds
 
 
 def _blended(mixtures: list[Mixture]) -> Mixture:
-    """What points of mixtures (stacks), as many of each, were drawn from."""
+    """The mixture from which equally many points of each of several mixtures (stacks) were drawn."""
     return Mixture(
         np.concatenate([mixture.share for mixture in mixtures], axis=1) / len(mixtures),
         np.concatenate([mixture.centre for mixture in mixtures], axis=1),
@@ -180,11 +180,11 @@ def _with_heaviest(
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """A density over the parameters that is drawn from and evaluated at once.
+    """A density over the parameters that can be drawn from and evaluated.
 
     scores : normal scores of the parameters.
     mixture : over these.
-    solves : forward solves that fitting it took, those of the search for optima apart.
+    solves : forward solves of its fit, without those of the search for optima.
     """
 
     scores: NormalScores
@@ -192,11 +192,11 @@ class Proposal:
     solves: int = 0
 
     def draw(self, size: int, rng: np.random.Generator | np.random.RandomState) -> Array:
-        """Independent parameters (size, n); some may break the constraints (9)."""
+        """Independent draws of the parameters (size, n); some may violate the constraints (9)."""
         return self.scores.to_x(draw(self.mixture, size, rng))
 
     def log_density(self, x: Array) -> Array:
-        """Log density over the parameters x (m, n), (m,).
+        """Log density (m,) over the parameters x (m, n).
 
         log q(x) = log q(z) - log |dx / dz|.
         """

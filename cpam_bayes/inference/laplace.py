@@ -1,8 +1,8 @@
 """Laplace's method over normal scores: the optima of a log density, and the mass about each.
 
 The optimum of a simpler model is a good start for faint effects and a bad one for gross errors, which move
-the constants far. Draws of the prior are therefore screened, and the best of them optimised in rounds, fewer
-and further each time, together with what is known already.
+the constants far. Draws of the prior are therefore screened, and the best of them, with the known starts,
+optimised in rounds, fewer and for more steps each time.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from cpam_bayes.inference.scores import Expansion, best_of_distinct
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.mechanics.problem import Array
 
-# Optima are the same within this distance, standard deviations.
+# Distance, standard deviations, within which optima are the same.
 _DISTINCT_SD = 1.0
-# Scores of sizes are spread evenly this far: gross errors are in the tails of their priors.
+# Scores of sizes are spread evenly up to this: gross errors are in the tails of their priors.
 SIZE_RANGE = 3.6
 
 
@@ -43,27 +43,27 @@ class Optima:
     curvature: Array
 
     def only(self, kept: Any) -> Optima:
-        """Some of them."""
+        """Some of the optima."""
         return Optima(self.z[kept], self.value[kept], self.gradient[kept], self.curvature[kept])
 
     @property
     def log_mass(self) -> Array:
-        """Log of the integral about each by Laplace's approximation, (k,)."""
+        """Log (k,) of the integral about each by Laplace's approximation."""
         return self.value + log_volume(self.curvature)
 
     @property
     def factor(self) -> Array:
-        """Square root of the covariance about each, (k, n, n)."""
+        """Square root (k, n, n) of the covariance about each."""
         return np.linalg.cholesky(np.linalg.inv(self.curvature))
 
     @property
     def promise(self) -> Array:
-        """Gain, nats, that one more step promises each, (k,)."""
+        """Gain (k,), nats, that one more step promises for each."""
         return promised_gain(self.gradient, self.curvature)
 
 
 def log_volume(curvature: Array) -> Array:
-    """Log integral of Gaussians with negative Hessians (..., n, n) and the height one, (...).
+    """Log integral (...) of Gaussians of height one with negative Hessians (..., n, n).
 
     n/2 log 2 pi - 1/2 log det H (Tierney and Kadane, 1986).
     """
@@ -80,10 +80,10 @@ def maximised(
     *,
     weight: Array | float = 0.0,
 ) -> Optima:
-    """Distinct ends of optimisations from scores (s, n), ``most`` at the most.
+    """Distinct optima reached from scores (s, n), ``most`` at most.
 
     most_steps, promised : as in ``maximise``
-    weight : (n,) part of the prior's weight that is left out, 0 to 1
+    weight : (n,) fraction of the log prior that is left out, 0 to 1
     """
     bound, left_out = density.scores.upper, np.broadcast_to(weight, z.shape[1])
 
@@ -100,14 +100,13 @@ def maximised(
 
 @dataclass(frozen=True, slots=True)
 class SearchSettings:
-    """The search for all optima of a log density.
+    """Settings of the search for all optima of a log density.
 
-    log2_draws : of the prior, that are screened, log2
-    rounds : starts of each round, and the steps that they are given
-    promised : gain, nats, that ends the last round
-    first_noise : score of an inferred noise that optimisations begin with: large noise makes the first steps
-        long
-    overshoot : an optimisation under way may gain so many times what its next step promises
+    log2_draws : log2 of the number of prior draws that are screened
+    rounds : starts and steps of each round
+    promised : promised gain, nats, below which the last round ends
+    first_noise : score of an inferred noise at the start: large noise makes the first steps long
+    overshoot : largest gain of an unfinished optimisation over what its next step promises
     depth_nats : optima are kept within so much of the best
     is_polished : whether every optimum is polled for better points around it, see ``polish``
     """
@@ -123,7 +122,7 @@ class SearchSettings:
 
 SEARCH: Final = SearchSettings()
 POLISHED: Final = SearchSettings(7, ((12, 10), (6, 60)), promised=1e-9, is_polished=True)
-"""Of a single density that is sampled, whose optima are found to the end."""
+"""Settings for a single density that is sampled, whose optima are fully converged."""
 
 
 def find_optima(
@@ -135,12 +134,12 @@ def find_optima(
     least: float = -np.inf,
     settings: SearchSettings = SEARCH,
 ) -> Optima:
-    """The distinct optima of a log density that draws of its priors and known starts lead to.
+    """Distinct optima of a log density, reached from draws of its priors and from known starts.
 
-    known : (s, n) scores that join the draws
+    known : (s, n) scores of further starts
     even : column of a size whose draws are spread evenly
-    log2_draws : if not those of the settings, 0 for none
-    least : log mass below which nothing is worth more steps than it takes to see that
+    log2_draws : instead of that of the settings, 0 for none
+    least : log mass below which optima are not refined
 
     Raises ``RigidBodyError``, a ``ValueError``, where no start has a density.
     """
@@ -167,7 +166,7 @@ def find_optima(
 
 
 def _polished(density: LogDensity, optima: Optima) -> Optima:
-    """The optima, each made sure of: two modes that cross leave a kink, where steps shrink before the top."""
+    """Optima, each polished: crossing modes leave a kink, where steps shrink before the top is reached."""
     bound = density.scores.upper
     z, parts = [], []
     for i in range(len(optima.z)):
@@ -184,7 +183,7 @@ def _polished(density: LogDensity, optima: Optima) -> Optima:
 def prior_draws(density: LogDensity, even: int | None, log2_draws: int, noise: float) -> Array:
     """Scores (m, n) that fill the prior; those of the column ``even`` are spread evenly.
 
-    noise : score of what the density has beside the model's parameters, an inferred noise
+    noise : score of the parameters beside the model's, an inferred noise
     """
     z = spread_scores(density.parameters.size, log2_draws, even)
     z[:, density.n_model :] = noise
@@ -202,6 +201,6 @@ def spread_scores(n: int, log2_points: int, even: int | None) -> Array:
 
 @cache
 def _unit_points(n: int, log2_points: int) -> Array:
-    """Points (2^log2_points, n) that fill the unit cube, the same each time."""
+    """Points (2^log2_points, n) that fill the unit cube, reproducible."""
     points = qmc.Sobol(n, rng=np.random.default_rng(0)).random_base2(log2_points)
     return np.asarray(np.clip(points, 1e-6, 1.0 - 1e-6))

@@ -1,7 +1,7 @@
 """The log density of frequency lists under a model of the plate.
 
-Every command has one: its optima are sought over normal scores of the parameters (`laplace`), and its
-integral, the marginal likelihood, is found by importance sampling about these (`importance`).
+All commands use it: its optima are sought over normal scores of the parameters (`laplace`), and its
+integral, the marginal likelihood, is computed by importance sampling about these (`importance`).
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from cpam_bayes.parameters import ParameterSet
 class LogDensity(ABC):
     """The log density of frequency lists over the parameters of a model and its noise, or over their scores.
 
-    Errors that the frequencies have in common, of sizes and of theory, are in the covariance
-    (`CorrelatedDensity`), or among the parameters, where frequencies must be independent: their pairings with
-    modes are summed over, or their noise is Student's t (`Posterior`).
+    Common errors of the frequencies, of sizes and of theory, are in the covariance (`CorrelatedDensity`), or
+    among the parameters where frequencies must be independent, because their pairings with modes are summed
+    over or their noise is Student's t (`Posterior`).
 
     scores : normal scores of the parameters
     """
@@ -35,22 +35,22 @@ class LogDensity(ABC):
     @property
     @abstractmethod
     def n_model(self) -> int:
-        """Number of the model's parameters, the first; the others are amplitudes of noise."""
+        """Number of the model's parameters, which come first; the others are amplitudes of noise."""
 
     @abstractmethod
     def log_likelihood(self, x: Array) -> Array:
-        """Log likelihood at parameters (m, n), -inf where the constraints (9) are broken, (m,)."""
+        """Log likelihood (m,) at parameters (m, n), -inf where the constraints (9) are violated."""
 
     @abstractmethod
     def expand_likelihood(self, x: Array) -> Expansion:
-        """The same with its gradient and its Fisher information over the parameters."""
+        """Log likelihood with its gradient and its Fisher information over the parameters."""
 
     @abstractmethod
     def far_off(self, z: Array) -> Array:
-        """A misfit that ranks scores (m, n), far-off ones too, infinite outside the support, (m,)."""
+        """Misfit (m,) that ranks scores (m, n) even far from an optimum, infinite outside the support."""
 
     def log_density(self, z: Array) -> Array:
-        """Log of likelihood times prior density over scores (m, n), (m,)."""
+        """Log (m,) of likelihood times prior density over scores (m, n)."""
         return self.scores.log_prior(z) + self.log_likelihood(self.scores.to_x(z))
 
     def expand(self, z: Array) -> Expansion:
@@ -59,12 +59,12 @@ class LogDensity(ABC):
         return self.scores.with_prior(self.expand_likelihood(x), x, z)
 
 
-# A misfit beyond this, relative, is as bad as any; the part of the mean misfit that one modulus takes up.
+# Relative misfit beyond which more hardly counts; fraction of the mean misfit that one modulus absorbs.
 _COARSE, _FORGIVEN = 0.02, 0.9
 
 
 def coarse_misfit(r: Array) -> Array:
-    """A misfit that ranks far-off residuals (m, n_f) of the log frequencies, (m,)."""
+    """Misfit (m,) that ranks large residuals (m, n_f) of the log frequencies."""
     r = r - _FORGIVEN * r.mean(axis=1, keepdims=True)
     return np.asarray(np.sum(np.log1p((r / _COARSE) ** 2), axis=1))
 
@@ -78,12 +78,12 @@ class Listed:
     """Measured frequencies of all lists and their noise.
 
     sigma_i^2 = variance_i + (a scale_i)^2, with the amplitude a of the list where it is inferred.
-    common : (n, n) Hz^2, covariance of what the frequencies have in common, sizes and mass for instance, None
-        where it is in the parameters.
+    common : (n, n) Hz^2, covariance by common errors, of sizes and mass for instance, None where these are
+        parameters.
     log_constant : log probability of what the model does not predict, false peaks for instance.
 
     frequencies, variance, scale : (n,) Hz, Hz^2, Hz; scale is zero where the noise is given.
-    lists : (n,) number of the list that each is from.
+    lists : (n,) number of the list of each frequency.
     """
 
     frequencies: Array
@@ -95,11 +95,11 @@ class Listed:
 
     @property
     def of(self) -> Array:
-        """Number of the list that each frequency is from, (n,)."""
+        """Number (n,) of the list of each frequency."""
         return np.zeros(len(self.frequencies), dtype=int) if self.lists is None else self.lists
 
     def without(self, i: int) -> Listed:
-        """The list less one frequency."""
+        """The list without one frequency."""
         kept = np.arange(len(self.frequencies)) != i
         common = None if self.common is None else self.common[np.ix_(kept, kept)]
         return Listed(
@@ -112,7 +112,7 @@ class Listed:
         )
 
     def correlation(self, length: float) -> Array:
-        """Correlation of a discrepancy between the frequencies, (n, n); length over ln f, 0 if white.
+        """Correlation (n, n) of a discrepancy between the frequencies; length over ln f, 0 if white.
 
         rho exp(-(ln f_i - ln f_j)^2 / (2 length^2)) + (1 - rho) delta_ij within a list, none between lists.
         """
@@ -125,9 +125,9 @@ class Listed:
 
 
 def kept_of(whole: Array, listed: Array) -> Array:
-    """Which frequencies (n,) of a list are in a shorter one of the same order, bool.
+    """Mask (n,) of the frequencies of a list that are in a shorter one of the same order.
 
-    Equal frequencies are told apart by their order.
+    Equal frequencies are matched in order.
     """
     kept, at = np.zeros(len(whole), dtype=bool), 0
     for i, f in enumerate(whole):
@@ -143,17 +143,17 @@ def log_residuals(listed: Array, f: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class CorrelatedDensity(LogDensity):
-    """The log density of lists whose frequencies have their modes, with errors in common.
+    """The log density of lists with a known mode for each frequency, with common errors.
 
-    `residuals` are Gaussian with the covariance diag(sigma^2) + C + tau^2 F R F: C of what the frequencies
-    have in common, F = diag(f) and R the correlation of a discrepancy between the model and the plate
+    `residuals` are Gaussian with the covariance diag(sigma^2) + C + tau^2 F R F: C of the common errors,
+    F = diag(f) and R the correlation of a discrepancy between the model and the plate
     (Kennedy and O'Hagan, J. R. Statist. Soc. B 63, 2001).
 
     parameters : those of the model, then those of the noise.
     amplitudes : column of each list's repeatability, -1 where it is given.
     discrepancy : column of tau, or ``None``.
     correlation_length : of the discrepancy over ln f, 0 where it is white.
-    left_out : a frequency of the model that the list lacks on purpose, or ``None``.
+    left_out : a frequency of the model that was removed from the list on purpose, or ``None``.
     """
 
     model: ComposedModel
@@ -167,7 +167,7 @@ class CorrelatedDensity(LogDensity):
 
     @property
     def n_model(self) -> int:
-        """Number of the model's parameters, the first; the others are amplitudes."""
+        """Number of the model's parameters, which come first; the others are amplitudes."""
         return self.model.parameters.size
 
     @property
@@ -182,10 +182,10 @@ class CorrelatedDensity(LogDensity):
         return of_noise if self.discrepancy is None else (*of_noise, self.discrepancy)
 
     def carried(self, other: CorrelatedDensity, values: Array, rest: Array | float = 0.0) -> Array:
-        """Values (..., n) of the parameters of the same name in another comparison.
+        """Values (..., n) for these parameters, taken over by name from another comparison.
 
         values : (..., n_other) parameters, or scores, of the other one
-        rest : (n,) or one value, for the parameters that it lacks
+        rest : (n,) or one value, for the parameters that the other one lacks
         """
         column_of = {name: column for column, name in enumerate(other.parameters.names)}
         carried = np.empty((*values.shape[:-1], self.parameters.size))
@@ -196,7 +196,7 @@ class CorrelatedDensity(LogDensity):
         return carried
 
     def predict(self, x: Array, *, jacobian: bool = False) -> tuple[Array, Array | None]:
-        """Frequencies (m, n_f) of the list at parameters (m, n), derivatives over these."""
+        """Frequencies (m, n_f) of the list at parameters (m, n), and their derivatives over these."""
         prediction = self.model.predict(x, jacobian=jacobian)
         f, slope = prediction.frequencies, prediction.jacobian
         if self.left_out is not None:
@@ -210,8 +210,8 @@ class CorrelatedDensity(LogDensity):
     def predict_inside(self, x: Array, *, jacobian: bool = False) -> tuple[Array, Array, Array | None]:
         """Rows of parameters (m, n) at which the plates have modes, and the predictions there.
 
-        Rows that break the constraints (9) or buckle a plate are left out, also those that are found to be
-        unsound only by solving.
+        Rows that violate the constraints (9) or buckle a plate are left out, also those where only the solve
+        shows it.
         """
         rows = np.flatnonzero(self.model.admissible(x))
         if not len(rows):
@@ -234,7 +234,7 @@ class CorrelatedDensity(LogDensity):
         )
 
     def about(self, z: Array, tolerance: float, fraction: float = 1.0) -> CorrelatedDensity:
-        """The same with models that are enough about scores z (m, n), as of ``ComposedModel.about``."""
+        """The density with models reduced for the region of scores z (m, n), see ``ComposedModel.about``."""
         x = self.scores.to_x(z)
         x = x[self.model.admissible(x)]
         if not len(x):
@@ -245,9 +245,9 @@ class CorrelatedDensity(LogDensity):
             return self
 
     def variance(self, x: Array) -> Array:
-        """sigma^2 of every frequency at parameters (m, n), discrepancy included, (m, n_f) Hz^2.
+        """sigma^2 (m, n_f), Hz^2, of every frequency at parameters (m, n), discrepancy included.
 
-        What the frequencies have in common is not in it.
+        Common errors are not included.
         """
         variance = self._independent(x)
         if self.discrepancy is not None:
@@ -255,7 +255,7 @@ class CorrelatedDensity(LogDensity):
         return variance
 
     def covariance(self, x: Array) -> Array:
-        """Covariance of all frequencies at parameters (m, n), (m, n_f, n_f) Hz^2."""
+        """Covariance (m, n_f, n_f), Hz^2, of all frequencies at parameters (m, n)."""
         covariance = self._independent(x)[:, :, None] * np.eye(len(self.listed.frequencies))
         if self.listed.common is not None:
             covariance = covariance + self.listed.common
@@ -264,26 +264,25 @@ class CorrelatedDensity(LogDensity):
         return np.asarray(covariance)
 
     def residuals(self, f: Array) -> Array:
-        """Those of predictions f (m, n_f): f_listed ln(f_listed / f), Hz.
+        """Residuals of predictions f (m, n_f): f_listed ln(f_listed / f), Hz.
 
-        An error that all frequencies have in common is then a factor of them, also where the model is far
-        off.
+        An error common to all frequencies is then a factor of them, even where the model is far off.
         """
         return log_residuals(self.listed.frequencies, f)
 
     def residual_slopes(self, f: Array, slope: Array) -> Array:
-        """Derivatives of predictions (..., n_f), (..., n_f, n), as minus those of their residuals."""
+        """Minus the derivatives of the residuals, from those (..., n_f, n) of predictions (..., n_f)."""
         return np.asarray(slope * (self.listed.frequencies / f)[..., None])
 
     def misfit(self, x: Array, f: Array) -> Array:
-        """r^T S^-1 r of the residuals of predictions (m, n_f) at parameters (m, n), (m,)."""
+        """r^T S^-1 r (m,) of the residuals of predictions (m, n_f) at parameters (m, n)."""
         white, _ = _whitened(self.residuals(f), self.covariance(x))
         return np.asarray(np.sum(white**2, axis=1))
 
     def common_part(self, z: Array) -> Array:
-        """Expected part of the residuals that the frequencies have in common at scores (m, n), (m, n_f) Hz.
+        """Expected part (m, n_f), Hz, of the residuals by common errors at scores (m, n).
 
-        C S^-1 r, C the covariance of what they have in common and S that of all.
+        C S^-1 r, C the covariance by common errors and S that of all.
         """
         x = self.scores.to_x(z)
         r = self.residuals(self.predict(x)[0])
@@ -292,7 +291,7 @@ class CorrelatedDensity(LogDensity):
         return np.asarray(np.linalg.solve(self.covariance(x), r[..., None])[..., 0] @ self.listed.common)
 
     def log_likelihood(self, x: Array) -> Array:
-        """Log likelihood at parameters (m, n), -inf where the constraints (9) are broken, (m,)."""
+        """Log likelihood (m,) at parameters (m, n), -inf where the constraints (9) are violated."""
         value = np.full(len(x), -np.inf)
         inside, f, _ = self.predict_inside(x)
         if len(inside):
@@ -304,11 +303,11 @@ class CorrelatedDensity(LogDensity):
         return value
 
     def log_conditional(self, x: Array) -> Array:
-        """Log density of each frequency given the others and the parameters (m, n), (m, n_f).
+        """Log density (m, n_f) of each frequency given the others and the parameters (m, n).
 
         With Q the inverse covariance and r the residuals, r_i given the others is Gaussian with the variance
         1 / Q_ii and lies (Q r)_i / Q_ii off its mean (Rue and Held, Gaussian Markov Random Fields, theorem
-        2.3). Not a number where the constraints (9) are broken.
+        2.3). Not a number where the constraints (9) are violated.
         """
         value = np.full((len(x), len(self.listed.frequencies)), np.nan)
         inside, f, _ = self.predict_inside(x)
@@ -334,7 +333,7 @@ class CorrelatedDensity(LogDensity):
         return Expansion(value, gradient, curvature)
 
     def far_off(self, z: Array) -> Array:
-        """The misfit of `coarse_misfit` at scores (m, n), (m,)."""
+        """The misfit (m,) of `coarse_misfit` at scores (m, n)."""
         misfit = np.full(len(z), np.inf)
         inside, f, _ = self.predict_inside(self.scores.to_x(z))
         if len(inside):
@@ -348,10 +347,10 @@ class CorrelatedDensity(LogDensity):
         )
 
     def _independent(self, x: Array) -> Array:
-        """sigma^2 without the discrepancy, (m, n_f) Hz^2."""
+        """sigma^2 (m, n_f), Hz^2, without the discrepancy."""
         variance = np.broadcast_to(self.listed.variance, (len(x), len(self.listed.variance)))
         if self.noise is not None:
-            # scale is zero where there is no amplitude, and any column will do
+            # scale is zero where there is no amplitude, so that any column will do
             variance = variance + (x[:, self._amplitude_columns] * self.listed.scale) ** 2
         return variance
 

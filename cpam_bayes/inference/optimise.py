@@ -1,7 +1,7 @@
 """Optimisation of log densities within bounds, many starts at once.
 
-Where two modes cross, sorted frequencies have a kink: damped steps shrink there and look converged. Every
-optimum is therefore polled at points spread around it, and left if a better one is found.
+Where two modes cross, sorted frequencies have a kink: damped steps shrink there and look converged.
+`polish` therefore polls an optimum at points spread around it, and leaves it if a better one is found.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from cpam_bayes.mechanics.problem import Array
 
 # Gain in nats that further steps must promise.
 _PROMISE = 1e-9
-# Damping relative to the diagonal of the curvature: at first, and where an optimisation is given up.
+# Damping relative to the diagonal of the curvature: initial, and the largest, at which one is given up.
 _DAMPING, _MOST_DAMPING = 1e-2, 1e9
 # Longest step in a coordinate: one standard deviation of a prior.
 _LONGEST = 1.0
@@ -33,11 +33,11 @@ _MOST_POLLS = 25
 
 @dataclass(frozen=True, slots=True)
 class Maxima:
-    """Where m optimisations ended.
+    """Ends of m optimisations.
 
     u : (m, n).
     expansion : there.
-    converged : (m,) bool, no step promised a gain; a kink can make that look so.
+    converged : (m,) bool, no step promised a gain; at a kink this can be wrong.
     steps : evaluations of the longest optimisation.
     """
 
@@ -48,13 +48,13 @@ class Maxima:
 
 
 def promised_gain(gradient: Array, curvature: Array) -> Array:
-    """Gain, nats, that a full step promises, 1/2 g^T C^-1 g, of gradients (m, n) and curvatures (m, n, n)."""
+    """Promised gain, nats, of a full step, 1/2 g^T C^-1 g, with gradients (m, n) and curvatures (m, n, n)."""
     step = np.linalg.solve(curvature, gradient[..., None])[..., 0]
     return np.asarray(0.5 * np.einsum("ki,ki->k", gradient, step))
 
 
 def free_coordinates(u: Array, gradient: Array, lower: Array, upper: Array) -> Array:
-    """Coordinates (m, n) that are not held by a bound against the gradient, bool."""
+    """Mask (m, n) of the coordinates that no bound holds against the gradient."""
     return np.asarray(~(((u <= lower) & (gradient < 0)) | ((u >= upper) & (gradient > 0))))
 
 
@@ -69,17 +69,17 @@ def maximise(
     hopeless: Callable[[Expansion], Array] | None = None,
     known: Expansion | None = None,
 ) -> Maxima:
-    """Local maxima next to a stack of starts (m, n), all optimised at once (Levenberg-Marquardt).
+    """Local maxima reached from a stack of starts (m, n), all optimised at once (Levenberg-Marquardt).
 
     Steps solve (C + d diag C) s = g in the coordinates that no bound holds, are cut at the bounds, and
     raise or lower the damping d as they fail or succeed (More, 1978; bounds as in Bertsekas, 1982).
 
     target : (u (k, n), rows (k,)) -> expansion, ``rows`` being the starts that the points belong to, so that
-    each may have a density of its own.
+    each may have its own density.
     lower, upper : (n,).
-    promised : gain in nats below which an optimisation ends.
-    hopeless : expansion at k points -> (k,) bool, which optimisations are given up there.
-    known : the target at the starts, where an optimisation goes on.
+    promised : promised gain in nats below which an optimisation ends.
+    hopeless : expansion at k points -> (k,) bool, True for optimisations to be given up there.
+    known : the target at the starts, if an earlier optimisation is continued.
     """
     u = np.clip(np.array(start, dtype=float), lower, upper)
     m = len(u)
@@ -119,12 +119,12 @@ def maximise(
 def _step(
     u: Array, gradient: Array, curvature: Array, damping: Array, lower: Array, upper: Array
 ) -> tuple[Array, Array]:
-    """Damped steps (m, n) cut at the bounds, and the gains that they promise, (m,)."""
+    """Damped steps (m, n) cut at the bounds, and the gains (m,) that they promise."""
     n = u.shape[1]
     free = free_coordinates(u, gradient, lower, upper)
     g = np.where(free, gradient, 0.0)
     both = free[:, :, None] & free[:, None, :]
-    # a flat coordinate has no curvature of its own: that of a prior one wide stands in
+    # a flat coordinate has no curvature of its own: a small one stands in
     diagonal = np.maximum(np.diagonal(curvature, axis1=1, axis2=2), 1e-3)
     matrix = (
         np.where(both, curvature, 0.0) + np.eye(n) * np.where(free, damping[:, None] * diagonal, 1.0)[:, None]
@@ -135,20 +135,20 @@ def _step(
     step = np.clip(u + step, lower, upper) - u
     bent = np.einsum("mi,mij,mj->m", step, curvature, step)
     linear = np.sum(g * step, axis=1)
-    # a step that the bounds cut may overshoot along the rest: half its slope is promised at least
+    # a step cut by the bounds may overshoot along the rest: at least a fraction of its slope is promised
     return step, np.maximum(linear - 0.5 * bent, 0.05 * linear)
 
 
 @cache
 def _directions(n: int) -> Array:
-    """Points spread as a standard Gaussian in n dimensions, (points, n), the same each time."""
+    """Points (points, n) spread as a standard Gaussian in n dimensions, reproducible."""
     points = qmc.Halton(n, scramble=False).random(_POLL_POINTS + 1)[1:]
     normal = np.asarray(ndtri(points))
     return np.concatenate((normal, -normal))
 
 
 def _root_of_inverse(precision: Array) -> Array:
-    """L with L L^T the inverse of a symmetric matrix whose eigenvalues are at least one, (n, n)."""
+    """L (n, n) with L L^T the inverse of a symmetric matrix whose eigenvalues are at least one."""
     try:
         return np.asarray(np.linalg.cholesky(np.linalg.inv(precision)))
     except np.linalg.LinAlgError:  # directions that differ by more than the digits of a number
@@ -164,9 +164,9 @@ def polish(
     lower: Array,
     upper: Array,
 ) -> tuple[Array, Expansion, bool]:
-    """One optimum (n,) made sure of: polled from 0.01 to 3 standard deviations around, left while that pays.
+    """Polish an optimum (n,) by polls from 0.01 to 3 standard deviations around it, until none is better.
 
-    After each gain the optimisation starts again, from the better point. value : (k, n) -> (k,) log density.
+    After each gain the optimisation restarts from the better point. value : (k, n) -> (k,) log density.
     expansion : of the target there, one point. Returns the optimum, the expansion there and whether the last
     poll found nothing better.
     """

@@ -1,7 +1,7 @@
 """Pairings of measured frequencies with modes of the model.
 
 A complete list is paired one to one. Otherwise every pairing that keeps the order is possible, each missed
-mode and each spurious peak at a price, and the likelihood is the sum over all of them.
+mode and each spurious peak with a prior probability, and the likelihood is the sum over all of them.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from cpam_bayes.inference.student_mixture import log_sum_exp
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.plate import Measurement
 
-# Log price of a false peak where there are none: finite, so that none times it is nothing.
+# Log prior of a false peak where there are none: finite, so that zero times it is zero.
 _IMPOSSIBLE: Final = -1e300
 
 
 @dataclass(frozen=True, slots=True)
 class PairingPrior:
-    """Prices of an incomplete list.
+    """Prior of the pairings of an incomplete list.
 
     missed : probability that a mode in the measured range is not in the list.
     spurious : expected number of listed frequencies that belong to no mode, evenly spread over the range; one
-    for each frequency where they are candidates, of false ones such as it is.
+    for each frequency where they are candidates, for false ones of its kind.
     """
 
     missed: float = 0.1
@@ -33,20 +33,20 @@ class PairingPrior:
 
     @staticmethod
     def of(measurement: Measurement) -> PairingPrior:
-        """That of a measurement."""
+        """Pairing prior of a measurement."""
         false = measurement.false_peaks
         return PairingPrior(
             measurement.missed_probability, false if isinstance(false, float) else tuple(false.tolist())
         )
 
     def among(self, rows: Array) -> PairingPrior:
-        """That of some frequencies (m,)."""
+        """Pairing prior of some of the frequencies (m,)."""
         if isinstance(self.spurious, float):
             return self
         return replace(self, spurious=tuple(self.spurious[i] for i in rows))
 
     def log_false(self, n: int, span: float) -> Array:
-        """Log price of each of n frequencies as a false one, (n,); span : of the measured range, Hz."""
+        """Log prior (n,) of each of n frequencies as a false peak; span : of the measured range, Hz."""
         number = np.broadcast_to(np.asarray(self.spurious, dtype=float), n)
         with np.errstate(divide="ignore"):
             return np.asarray(np.log(number / span))
@@ -58,7 +58,7 @@ class Pairing:
 
     mode : (n,) the model mode of each measured frequency, -1 for a spurious one.
     missed : model modes in the measured range that the list lacks.
-    log_probability : of this pairing among all.
+    log_probability : of this pairing among all pairings.
     """
 
     mode: Array
@@ -69,14 +69,14 @@ class Pairing:
 def monotone_log_likelihood(
     log_density: Array, in_range: Array, measured_range: float, prior: PairingPrior
 ) -> Array:
-    """Log of the sum over all order-keeping pairings of n measured frequencies with k modes, (m,).
+    """Log (m,) of the sum over all order-keeping pairings of n measured frequencies with k modes.
 
     A pairing has the likelihood product over pairs of (1 - p) exp(log_density_ij), times p for every
     mode in range without a partner, times lambda / range for every frequency without one. Skipped
     rows and columns between two pairs are counted once, by two nested recursions.
 
     log_density : (m, n, k), log density of frequency i if it is mode j.
-    in_range : (m, k) bool, modes that a complete list would contain; those beyond it cost nothing when
+    in_range : (m, k) bool, modes that a complete list would contain; those beyond it have no factor when
     missed.
     """
     table = _Prices(log_density, in_range, measured_range, prior)
@@ -90,9 +90,9 @@ def monotone_log_likelihood(
 def pair_probabilities(
     log_density: Array, in_range: Array, measured_range: float, prior: PairingPrior
 ) -> Array:
-    """Probability that a frequency is a mode, over all order-keeping pairings, (m, n, k).
+    """Probability (m, n, k) that a frequency is a mode, over all order-keeping pairings.
 
-    The rest to 1 along k is that of a false peak. Arguments as of `monotone_log_likelihood`.
+    The remainder to 1 along k is that of a false peak. Arguments as of `monotone_log_likelihood`.
     """
     table = _Prices(log_density, in_range, measured_range, prior)
     mirrored = replace(
@@ -107,7 +107,7 @@ def pair_probabilities(
 def most_probable_pairing(
     log_density: Array, in_range: Array, measured_range: float, prior: PairingPrior
 ) -> Pairing:
-    """The pairing with the largest likelihood of one parameter set (log_density (n, k))."""
+    """The pairing with the largest likelihood for one parameter set (log_density (n, k))."""
     if not len(log_density):
         return Pairing(np.empty(0, dtype=int), np.flatnonzero(in_range), 0.0)
     table = _Prices(log_density[None], in_range[None], measured_range, prior)
@@ -129,7 +129,7 @@ def most_probable_pairing(
 def labelled_log_likelihood(
     log_density: Array, in_range: Array, measured_range: float, known: Array, prior: PairingPrior
 ) -> Array:
-    """Log of the sum over all pairings that give frequencies with a known mode that mode, (m,).
+    """Log (m,) of the sum over all pairings that keep the known modes.
 
     The other frequencies are paired with the other modes as in ``monotone_log_likelihood``, whatever the
     order of the known ones.
@@ -160,12 +160,12 @@ def most_probable_labelled_pairing(
 
 
 def _others(log_density: Array, known: Array) -> tuple[Array, Array]:
-    """Frequencies without a known mode, and modes that none is known to have."""
+    """Frequencies without a known mode, and modes that no frequency is known to have."""
     return np.flatnonzero(known < 0), np.setdiff1d(np.arange(log_density.shape[-1]), known)
 
 
 class _Prices:
-    """Log prices of pairs and skips of m tables."""
+    """Log factors of pairs and skips of m tables."""
 
     def __init__(self, log_density: Array, in_range: Array, span: float, prior: PairingPrior) -> None:
         self.m, self.n, self.k = log_density.shape
@@ -175,7 +175,7 @@ class _Prices:
         self.nothing = self.extra.sum() + self.miss.sum(axis=1)
 
     def sums(self, *, maximise: bool = False) -> tuple[Array, dict[tuple[int, int], tuple[int, int]]]:
-        """Log sum (or maximum) over all pairings that end with the pair (i, j), (m, n, k).
+        """Log sum (or maximum) (m, n, k) over all pairings that end with the pair (i, j).
 
         When maximising also the pair before each, (-1, -1) where it is the first; m is 1 then.
         """
@@ -183,8 +183,8 @@ class _Prices:
         before = np.concatenate((np.zeros((self.m, 1)), np.cumsum(self.miss, axis=1)), axis=1)[:, :-1]
         ends = np.empty((self.m, self.n, self.k))
         came_from: dict[tuple[int, int], tuple[int, int]] = {}
-        # reach[:, j]: best of all pairings within the rows above that end left of column j, carried
-        # to this row and column at the price of the rows and columns in between
+        # reach[:, j]: sum or best of all pairings within the rows above that end left of column j, carried
+        # to this row and column with the factors of the rows and columns in between
         reach = np.full((self.m, self.k), -np.inf)
         source: list[tuple[int, int]] = [(-1, -1)] * self.k
         for i in range(self.n):
@@ -193,7 +193,7 @@ class _Prices:
             if maximise:
                 for j in range(self.k):
                     came_from[i, j] = source[j] if reach[0, j] > first[0, j] else (-1, -1)
-            # pairs of this row, less the price of the columns up to theirs, which the sum adds again
+            # pairs of this row, minus the log factors of the columns up to theirs, which the sum adds again
             carried = ends[:, i] - before - self.miss
             best = join.accumulate(carried, axis=1)
             along = np.concatenate((np.full((self.m, 1), -np.inf), before[:, 1:] + best[:, :-1]), axis=1)
@@ -207,7 +207,7 @@ class _Prices:
         return ends, came_from
 
     def tail(self) -> Array:
-        """Log price of what is left after the pair (i, j), (m, n, k)."""
+        """Log factor (m, n, k) of the rows and columns after the pair (i, j)."""
         after = self.miss.sum(axis=1, keepdims=True) - np.cumsum(self.miss, axis=1)
         below = np.append(np.cumsum(self.extra[:0:-1])[::-1], 0.0)
         return np.asarray(after[:, None, :] + below[None, :, None])

@@ -1,7 +1,7 @@
 """The posterior of a plate's parameters: noise, priors and pairing over a forward model.
 
-Scale and shape of the noise are independent of each other and of the model: a scale is one number for every
-frequency, by which an amplitude is multiplied; the shape is Gaussian or Student's t.
+Scale and shape of the noise are independent of each other and of the model: the scale is one number per
+frequency, which multiplies an amplitude; the shape is Gaussian or Student's t.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from cpam_bayes.plate import Measurement
 
 Likelihood = Literal["relative", "absolute"]
 
-# Prior of an inferred amplitude: half a Student-t, 1 % of a frequency wide; its bounds.
+# Prior of an inferred amplitude: half-Student-t of scale 1 % of a frequency, degrees of freedom, bounds.
 _WIDTH, _FREEDOM, _LEAST, _MOST = 0.01, 4.0, 1e-5, 0.3
 NOISE_PRIOR: Final = ScaledStudentT(_WIDTH, _FREEDOM, _LEAST, _MOST)
 
@@ -54,13 +54,13 @@ NOISE_NAMES: Final = tuple(scale.name for scale in _SCALES.values())
 
 @dataclass(frozen=True, slots=True)
 class NoiseModel:
-    """Scatter of frequency i if it belongs to mode j.
+    """Noise of frequency i if it belongs to mode j.
 
     sigma_ij^2 = (a b_i)^2 + resolution^2 / 12 + (e_j f_j)^2. With Student-t noise sigma is its scale.
 
     scale : (n,) b, Hz: the listed frequencies for relative noise, ones for noise that is the same in all
-    modes, as in eq. (7), the file's own where it gives one for each.
-    amplitude : a, or the parameter that it is.
+    modes, as in eq. (7), the file's own where it gives one for each frequency.
+    amplitude : a, or its parameter where it is inferred.
     rounding : resolution^2 / 12, Hz^2.
     solver_error : (n_modes,) e, relative.
     degrees_of_freedom : of the Student-t shape, infinite for the Gaussian one.
@@ -84,12 +84,12 @@ class NoiseModel:
         return 1.0 if np.isinf(nu) else (nu + 1.0) / (nu + 3.0)
 
     def sd(self, amplitude: Array, predicted: Array) -> Array:
-        """sigma for amplitudes (m,) and predicted frequencies (m, n_modes), (m, n, n_modes) Hz."""
+        """sigma (m, n, n_modes), Hz, for amplitudes (m,) and predicted frequencies (m, n_modes)."""
         variance = (amplitude[:, None] * self.scale) ** 2 + self.rounding
         return np.asarray(np.sqrt(variance[:, :, None] + (self.solver_error * predicted)[:, None, :] ** 2))
 
     def log_density(self, z: Array) -> Array:
-        """Log density of standardised residuals, (...)."""
+        """Log density (...) of standardised residuals."""
         nu = self.degrees_of_freedom
         if np.isinf(nu):
             return np.asarray(-0.5 * z**2 - 0.5 * np.log(2 * np.pi))
@@ -97,12 +97,12 @@ class NoiseModel:
         return np.asarray(constant - (nu + 1) / 2 * np.log1p(z**2 / nu))
 
     def sample(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
-        """Standardised residuals drawn at random."""
+        """Random standardised residuals."""
         nu = self.degrees_of_freedom
         return rng.standard_normal(shape) if np.isinf(nu) else rng.standard_t(nu, size=shape)
 
     def suggested(self, residuals: Array) -> float:
-        """An inferred amplitude that residuals (n,) Hz suggest, well within the bounds of its prior."""
+        """Amplitude suggested by residuals (n,), Hz, well within its prior's bounds; or the given one."""
         if not isinstance(self.amplitude, Parameter):
             return self.amplitude
         prior = self.amplitude.prior
@@ -120,8 +120,8 @@ def noise_model(
 
     likelihood : "relative", sd s f_i with the file's repeatability s, or s inferred where the file
     leaves it out; "absolute", one sd in Hz for all modes, inferred: the likelihood whose maximum is
-    the minimum of F of eq. (7). Standard deviations that the file gives one by one overrule the
-    first. Raises ``ValueError`` where the file gives what "absolute" is to infer, or for degrees of
+    the minimum of F of eq. (7). Individual standard deviations in the file override the first.
+    Raises ``ValueError`` where the file gives what "absolute" is to infer, or for degrees of
     freedom that are not above 2.
 
     The prior of an inferred amplitude is the same on both scales at the root mean square frequency.
@@ -152,7 +152,7 @@ def noise_model(
 
 
 def _given(measurement: Measurement) -> str | None:
-    """The key by which a plate file gives the repeatability."""
+    """Key with which the plate file gives the repeatability, ``None`` without one."""
     if measurement.frequency_sd is not None:
         return "frequency_sd_hz"
     return None if measurement.relative_std is None else "relative_std"
@@ -162,7 +162,7 @@ NOISE = "relative_std"
 
 
 class SolverError(ValueError):
-    """A forward model returned something that is no frequency."""
+    """Error of a forward model that returned values which are no frequencies."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,8 +170,8 @@ class Posterior(LogDensity):
     """Log probability of parameter vectors, given measured frequencies that are independent of each other.
 
     parameters : those of the model, then the amplitude of the noise where it is inferred.
-    labelled : (n_frequencies,) bool, frequencies whose mode is known by its label: the model gives it at the
-    frequency's own place among its modes.
+    labelled : (n_frequencies,) bool, frequencies whose mode is fixed by a label: the model has that mode at
+    the index of the frequency.
     """
 
     model: ForwardModel
@@ -185,7 +185,7 @@ class Posterior(LogDensity):
 
     @property
     def n_model(self) -> int:
-        """Number of the model's parameters, the first."""
+        """Number of the model's parameters, which come first."""
         return self.model.parameters.size
 
     @property
@@ -205,19 +205,19 @@ class Posterior(LogDensity):
         return self.noise_model.degrees_of_freedom
 
     def amplitude(self, x: Array) -> Array:
-        """Amplitude of the noise at parameter vectors (m, n_parameters), (m,)."""
+        """Amplitude (m,) of the noise at parameter vectors (m, n_parameters)."""
         given = self.noise_model.amplitude
         return np.full(len(x), given) if isinstance(given, float) else x[:, -1]
 
     def noise(self, x: Array, predicted: Array) -> Array:
-        """Standard deviations of the measured frequencies, if they belong to predicted ones, Hz.
+        """Standard deviations, Hz, of the measured frequencies about predicted ones.
 
         x (m, n_parameters), predicted (m, n_modes) -> (m, n_frequencies, n_modes).
         """
         return self.noise_model.sd(self.amplitude(x), predicted)
 
     def predict(self, x: Array) -> Array:
-        """Frequencies of the model at parameter vectors (m, n_parameters), (m, n_modes) Hz.
+        """Frequencies (m, n_modes), Hz, of the model at parameter vectors (m, n_parameters).
 
         Raises ``SolverError`` if one of them is not a number.
         """
@@ -235,11 +235,11 @@ class Posterior(LogDensity):
 
     @property
     def is_one_to_one(self) -> bool:
-        """Whether every frequency belongs to the mode at its own place, and no pairings are summed over."""
+        """Whether every frequency belongs to the mode of the same index, and no pairings are summed over."""
         return self.measurement.complete and not self.alternatives
 
     def log_likelihood(self, x: Array) -> Array:
-        """Log likelihood of parameter vectors (m, n_parameters), -inf where the constraints are broken, (m,).
+        """Log likelihood (m,) of parameter vectors (m, n_parameters), -inf outside the constraints.
 
         Raises ``SolverError`` where it would not be a number.
         """
@@ -261,8 +261,8 @@ class Posterior(LogDensity):
     def expand_likelihood(self, x: Array) -> Expansion:
         """Log likelihood, gradient and Fisher information over the parameters x (m, n).
 
-        Where pairings are summed the last is the negative Hessian for a model that is linear in its
-        parameters, its negative eigenvalues set to zero.
+        Where pairings are summed over, the last is the negative Hessian for a model that is linear in its
+        parameters, with negative eigenvalues set to zero.
         """
         inside, expand = self.admissible(x), _one_to_one if self.is_one_to_one else _summed
         if len(x) and inside.all():
@@ -279,15 +279,15 @@ class Posterior(LogDensity):
         return found
 
     def far_off(self, z: Array) -> Array:
-        """Minus the log density at scores (m, n), (m,)."""
+        """Minus the log density (m,) at scores (m, n)."""
         return -self.log_density(z)
 
     def admissible(self, x: Array) -> Array:
-        """Whether parameter vectors (m, n_parameters) satisfy the constraints (9), (m,) bool."""
+        """Mask (m,) of the parameter vectors (m, n_parameters) that satisfy the constraints (9)."""
         return self.model.admissible(x[:, : self.model.parameters.size])
 
     def _by_alternative(self, density: Array, in_range: Array) -> Array:
-        """Log likelihood by every alternative pairing with its probability, (n_alternatives, m)."""
+        """Log likelihood (n_alternatives, m) of every alternative pairing, its probability included."""
         return np.stack(
             [
                 one.log_probability + self._log_likelihood(density[:, :, one.places], in_range[:, one.places])
@@ -296,7 +296,7 @@ class Posterior(LogDensity):
         )
 
     def _log_likelihood(self, density: Array, in_range: Array) -> Array:
-        """Log likelihood (m,) of densities (m, n_f, n_modes) with every labelled mode at its place."""
+        """Log likelihood (m,) from densities (m, n_f, n_modes) with labelled modes at their own indices."""
         if self.measurement.complete:
             i = np.arange(self.measurement.size)
             return np.asarray(density[:, i, i].sum(axis=1))
@@ -304,11 +304,11 @@ class Posterior(LogDensity):
 
     @property
     def _known(self) -> Array:
-        """The mode of each labelled frequency, -1 for the others, (n_f,)."""
+        """Mode (n_f,) of each labelled frequency, -1 for the others."""
         return np.where(self.labelled, np.arange(len(self.labelled)), -1)
 
     def of_pairs(self, predicted: Array, sigma: Array) -> Array:
-        """Log density of every measured frequency about every predicted one, (m, n_f, n_modes)."""
+        """Log density (m, n_f, n_modes) of every measured frequency about every predicted one."""
         z = (self.measurement.frequencies[None, :, None] - predicted[:, None, :]) / sigma
         return self.noise_model.log_density(z) - np.log(sigma)
 
@@ -336,7 +336,7 @@ class Posterior(LogDensity):
         return Pairing(mode, np.sort(places[pairing.missed]), pairing.log_probability + log_probability)
 
     def pairing_probability(self, draws: Array, pairing: Pairing) -> Array:
-        """Probability that each frequency is what it was paired with, over draws (m, n_parameters), (n,)."""
+        """Probability (n,) of each frequency's assignment in a pairing, over draws (m, n_parameters)."""
         predicted = self.predict(draws)
         of_pair = pair_probabilities(
             self.of_pairs(predicted, self.noise(draws, predicted)),
@@ -348,7 +348,7 @@ class Posterior(LogDensity):
         return np.asarray(np.where(pairing.mode >= 0, taken, 1.0 - of_pair.sum(axis=1)))
 
     def in_range(self, predicted: Array) -> Array:
-        """Modes that a complete list would contain: none lies above the highest frequency listed."""
+        """Mask of the modes that a complete list would contain: those up to the highest listed frequency."""
         return np.asarray(predicted <= self.measurement.frequencies[-1])
 
     @property
@@ -357,7 +357,7 @@ class Posterior(LogDensity):
         return float(self.measurement.frequencies[-1])
 
     def log_prior(self, x: Array) -> Array:
-        """Log prior of parameter vectors (m, n_parameters), -inf outside the support, (m,)."""
+        """Log prior (m,) of parameter vectors (m, n_parameters), -inf outside the support."""
         log_prior = self.parameters.log_prior(x)
         inside = np.isfinite(log_prior)
         allowed = inside.copy()
@@ -365,7 +365,7 @@ class Posterior(LogDensity):
         return np.where(allowed, log_prior, -np.inf)
 
     def log_prob(self, x: Array) -> Array:
-        """Log posterior but for a constant, -inf outside the support, (m, n_parameters) -> (m,).
+        """Log posterior up to a constant, -inf outside the support, (m, n_parameters) -> (m,).
 
         Raises ``SolverError`` where it would not be a number.
         """
@@ -377,7 +377,7 @@ class Posterior(LogDensity):
         return value
 
     def _described(self, x: Array) -> str:
-        """Parameters and their values, SI, in words; ``x`` may be those of the model alone."""
+        """Text of parameters and their values, SI; ``x`` may be those of the model alone."""
         named = zip(self.parameters.parameters, x, strict=False)
         return ", ".join(f"{p.name} = {value:.6g} {p.unit}".rstrip() for p, value in named)
 
@@ -397,7 +397,7 @@ def plate_posterior(
     likelihood, degrees_of_freedom : as of ``noise_model``.
     solver_error : (n_modes,) relative.
     pairing : prior of the pairings of an incomplete list, by default that of the measurement.
-    tolerant : the model with further parameters, by which it predicts the same modes.
+    tolerant : the model with further parameters, which predicts the same modes.
 
     Raises ``ValueError`` for a list with labels or shapes unless the model is a ``LabelledModel``.
     """
@@ -422,12 +422,12 @@ def plate_posterior(
     return Posterior(predicting, measurement, parameters, scores, noise, labelled, pairing, alternatives)
 
 
-# Step of the complex-step derivative: any small number does, no digits go.
+# Step of the complex-step derivative: any small number will do, no digits are lost.
 _COMPLEX_STEP = 1e-30
-# Steps of central differences of a summed likelihood along the model's tangent, in standard deviations of the
-# priors, of the noise in its logarithm: of first derivatives and of second ones.
+# Steps of central differences of a summed likelihood along the model's tangent, for first and for second
+# derivatives, in standard deviations of the priors, for the noise in its logarithm.
 _STEP, _SECOND_STEP = 1e-5, 1e-4
-# Differences of a summed likelihood that are computed at once: as many stay in a processor's cache.
+# Differences of a summed likelihood that are computed at once: so many fit in a processor's cache.
 _MOST_AT_ONCE = 1000
 
 
@@ -472,7 +472,7 @@ def _gram(a: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class _Tangent:
-    """A model that is linear in its parameters: the tangent of another at m points."""
+    """The tangent of a model at m points, which is linear in its parameters."""
 
     parameters: ParameterSet
     at: Array
@@ -489,10 +489,10 @@ class _Tangent:
 
 @dataclass(frozen=True, slots=True)
 class _TangentPosterior(Posterior):
-    """A posterior over a tangent, with the modes in range held as they are at its points.
+    """A posterior over a tangent, with the modes in range held as at its points.
 
-    A mode comes into range at the highest frequency listed, next to which every optimum lies: a
-    difference across that small jump would say nothing about the slope.
+    A mode enters the range at the highest listed frequency, next to which every optimum lies: a
+    difference across that small jump would not measure the slope.
     """
 
     seen: Array = field(default_factory=lambda: np.empty((0, 0), dtype=bool))
@@ -502,7 +502,7 @@ class _TangentPosterior(Posterior):
 
 
 def _summed(posterior: Posterior, x: Array) -> Expansion:
-    """Where pairings are summed over: differences of the likelihood along the model's tangent, no solves."""
+    """Expansion where pairings are summed over: differences along the model's tangent, without solves."""
     n_plate, n = posterior.model.parameters.size, x.shape[1]
     prediction = posterior.model.predict(x[:, :n_plate], jacobian=True)
     assert prediction.jacobian is not None
@@ -542,7 +542,7 @@ def _summed(posterior: Posterior, x: Array) -> Expansion:
 def gauss_newton_covariance(posterior: Posterior, x: Array) -> Array:
     """(F + P^-1)^-1 at x (n,), F the information of the data, P the covariance of the priors, (n, n).
 
-    A direction which the data leave open keeps its prior's width.
+    A direction that the data leave open keeps its prior's width.
     """
     by_sd = 1.0 / posterior.parameters.prior_sd
     of_prior = by_sd[:, None] * posterior.parameters.precision * by_sd

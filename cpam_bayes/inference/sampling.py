@@ -1,4 +1,4 @@
-"""From a posterior to an answer: converged chains, evidence by importance sampling, draws for arviz."""
+"""Results from a posterior: converged chains, evidence by importance sampling, draws for arviz."""
 
 from __future__ import annotations
 
@@ -35,18 +35,17 @@ from cpam_bayes.plate import Specimen, to_user, unit_of, user_name
 from cpam_bayes.running import single_blas_thread
 from cpam_bayes.storage import opened_draws
 
-# Rounds of importance sampling for an evidence, and for the proposal that chains jump to, which need not be
-# as good.
+# Rounds of importance sampling for an evidence, and for the chains' jump proposal, which may be rougher.
 EVIDENCE: Final = Rounds(log2_points=11, most=12, least=2, enough=4000.0, steady=0.02)
 JUMPS: Final = Rounds(log2_points=9, most=12, least=2, enough=1500.0, steady=0.05, good=0.6)
-# The basis about a posterior: draws that it is made from, its largest error, the share of the noise that it
-# is at most, and the share of the draws whose noise may be less than the one that counts.
+# The basis about a posterior: draws from which it is made, its largest error, the same over the noise, and
+# the quantile over draws of that noise.
 _NARROWED_SETS, _NARROWED_ERROR, _NARROWED_SHARE, _LEAST_NOISE = 400, 2e-3, 0.05, 0.01
-# Fewest effective draws of an evidence to rely on; optima are as high as the best within so many nats.
+# Fewest effective draws of a reliable evidence; nats within which optima are as high as the best.
 _FEWEST_EFFECTIVE, _ALIKE_NATS = 100.0, 3.0
-# Draws of the chains that an evidence begins from, beside their best.
+# Draws of the chains, beside their best, from which an evidence starts.
 _OF_CHAINS = 24
-# Draws of the chains that are weighed on the whole basis.
+# Draws of the chains that are reweighted on the whole basis.
 _REWEIGHTED = 1000
 # Effective fraction of these below which chains on the narrow basis are doubtful.
 _EXACT = 0.9
@@ -78,9 +77,9 @@ def sample_from(
     store: Path | None = None,
     progress: Callable[[Diagnostics], None] = lambda diagnostics: None,
 ) -> tuple[EnsembleResult, Posterior]:
-    """Chains of a posterior by emcee, started from the personal bests of a swarm, and their density.
+    """Chains of a posterior by emcee, started from the personal bests of a swarm, and the density sampled.
 
-    That is the posterior on a basis that is made for where it is (``reweighted``).
+    This is the posterior on a narrow basis made for its own region, see ``reweighted``.
 
     bests : (m, n_plate) parameters of the plate, without the noise.
     values : (m,) their misfits.
@@ -98,9 +97,9 @@ def sample_from(
 
 
 def _narrowed(posterior: Posterior, x: Array) -> Posterior:
-    """A posterior on a basis for where draws x (m, n) of it are, good to a small part of the noise there.
+    """A posterior on a basis for the region of its draws x (m, n), accurate to a small part of the noise.
 
-    Itself where its own basis is no better.
+    The posterior itself where that is no improvement.
     """
     x = x[np.isfinite(posterior.log_prior(x))]
     f = posterior.predict(x)
@@ -129,18 +128,18 @@ def swarm_on_posterior(posterior: Posterior, seed: int, settings: SwarmSettings)
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """The integral of likelihood times prior density, and the draws it was estimated from.
+    """The integral of likelihood times prior density, and the quality of its estimate.
 
     standard_error : of log_evidence, from the spread of the weights, those of a narrow basis included.
     effective_size : (sum w)^2 / sum w^2.
     k_hat : Pareto shape of the largest weights.
-    status : reliable where k_hat is below 0.7, the effective size above 100 and the optima few; elsewhere
-    neither value nor error are to be relied on.
-    solves : forward solves, those of the search for optima apart.
-    exact_fraction : effective fraction of draws of chains on a narrow basis, weighed on the whole one.
+    status : reliable where k_hat is below 0.7, the effective size above 100 and the optima few; otherwise
+    neither value nor error is to be relied on.
+    solves : forward solves, without those of the search for optima.
+    exact_fraction : effective fraction of draws of chains on a narrow basis, reweighted on the whole one.
 
-    The prior is the product of the parameters' densities, zero where the constraints (9) are broken; it
-    is not normalised again for these.
+    The prior is the product of the parameters' densities, zero where the constraints (9) are violated; it
+    is not renormalised for these.
     """
 
     log_evidence: float
@@ -155,7 +154,7 @@ class Evidence:
 def reweighted(
     evidence: Evidence, posterior: Posterior, fast: Posterior, chains: EnsembleResult, seed: int
 ) -> Evidence:
-    """The evidence on the whole basis: that on a narrow one, and log E[p / p_fast] over draws of chains."""
+    """Evidence on the whole basis: that on a narrow one plus log E[p / p_fast] over draws of chains."""
     if fast is posterior:
         return evidence
     rows = np.random.default_rng([seed, 6]).integers(len(chains.draws), size=_REWEIGHTED)
@@ -170,16 +169,16 @@ def reweighted(
 
 
 def basis_notices(evidence: Evidence) -> tuple[Notice, ...]:
-    """A notice where chains on a narrow basis are not quite those on the whole one."""
+    """Notice where chains on a narrow basis differ from those on the whole one."""
     if evidence.exact_fraction >= _EXACT:
         return ()
     return (Notice("narrow_basis", facts={"fraction": evidence.exact_fraction}),)
 
 
 def evidence_of(posterior: Posterior, result: EnsembleResult) -> Evidence:
-    """The evidence of a posterior whose chains are there.
+    """Evidence of a posterior with known chains.
 
-    Optima are looked for next to draws from the prior too: one that the chains missed counts.
+    Optima are also sought from draws of the prior, so that one that the chains missed counts.
     """
     some = np.linspace(0, len(result.draws) - 1, _OF_CHAINS).astype(int)
     best = int(np.argmax(result.log_prob))
@@ -188,13 +187,13 @@ def evidence_of(posterior: Posterior, result: EnsembleResult) -> Evidence:
 
 @single_blas_thread
 def importance_evidence(posterior: Posterior, known: Array, rounds: Rounds = EVIDENCE) -> Evidence:
-    """The evidence of a posterior by importance sampling about its optima, see ``importance``.
+    """Evidence of a posterior by importance sampling about its optima, see ``importance``.
 
-    Z = E_q[p / q], q the blend of Student-t mixtures over normal scores. Where more optima are as high as the
-    best than are sampled about, others are likely to be missed: it is not reliable. Raises ``ValueError``
-    where nothing lies in the support of the prior.
+    Z = E_q[p / q], q the blend of Student-t mixtures over normal scores. It is not reliable where so many
+    optima are as high as the best that the search is likely to miss others. Raises ``ValueError`` where
+    nothing lies in the support of the prior.
 
-    known : (m, n) where optima are looked for, besides draws from the prior; may be empty.
+    known : (m, n) starts of the search for optima, besides draws from the prior; may be empty.
     """
     proposal, found, alike = sampled_about(posterior, known, rounds)
     k_hat, effective = float(found.k_hat[0]), float(found.effective_size[0])
@@ -210,7 +209,7 @@ def importance_evidence(posterior: Posterior, known: Array, rounds: Rounds = EVI
 
 
 def sampled_about(posterior: Posterior, known: Array, rounds: Rounds) -> tuple[Proposal, Weighted, int]:
-    """A proposal that covers a posterior, its weighted points over scores, and how many optima are as high.
+    """Proposal that covers a posterior, its weighted points over scores, and number of highest optima.
 
     known : (m, n) as of ``importance_evidence``
     """
@@ -229,7 +228,7 @@ _LIBRARIES: Final = ("numpy", "scipy", "emcee", "arviz_base")
 
 
 def command_of_draws(file: Path) -> str | None:
-    """The command whose draws a file holds, None for a file of something else."""
+    """The command whose draws a file holds, None for any other file."""
     try:
         found = opened_draws(file).attrs.get(_COMMAND)
     except (OSError, ValueError):  # not NetCDF
@@ -238,20 +237,20 @@ def command_of_draws(file: Path) -> str | None:
 
 
 def by_user_name(names: tuple[str, ...], draws: np.typing.NDArray[Any]) -> dict[str, Any]:
-    """Draws (chains, draws, n) by their names in the plate file, in its units."""
+    """Draws (chains, draws, n) by the names of the plate file, in its units."""
     return {user_name(name): draws[..., i] * to_user(name, 1.0) for i, name in enumerate(names)}
 
 
 def hashed(posterior: Posterior) -> dict[str, str]:
-    """The hash of the problem that draws are of, as an attribute."""
+    """Attribute with the hash of the problem of the draws."""
     centre = np.array([[p.prior.mean for p in posterior.parameters.parameters]])
     return {"problem_hash": problem_hash(posterior, centre)}
 
 
 def described(specimen: Specimen, noise: float | None) -> tuple[dict[str, Any], dict[str, float]]:
-    """What a file of draws says of the plate: attributes, and its group constant_data.
+    """Description of the plate for a file of draws: attributes, and its group constant_data.
 
-    noise : repeatability of a frequency that is no parameter, where the plate file leaves it out
+    noise : repeatability of a frequency where it is no parameter and the plate file leaves it out
     """
     plate, material, measurement = specimen.plate, specimen.material, specimen.measurement
     assert measurement is not None
@@ -284,9 +283,9 @@ def arviz_data(
 ) -> Any:
     """The groups as an ``xarray.DataTree`` in the conventions of arviz 1.
 
-    command : whose answer they are of, see `command_of_draws`.
+    command : whose draws they are, see `command_of_draws`.
     names : of the parameters that were drawn.
-    attributes : beside command, versions, plate and seed.
+    attributes : further ones beside command, versions, plate and seed.
     groups, dims, coords : as of ``arviz_base.from_dict``.
     """
     import arviz_base  # heavy

@@ -1,6 +1,6 @@
-"""Normal scores of parameters, in which every prior is standard normal, and log densities expanded over them.
+"""Normal scores of parameters, in which every prior is standard normal, and expansions of log densities.
 
-No bounds are left there, and flat directions are integrated exactly.
+Scores have no bounds, and flat directions are integrated exactly.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ class Expansion:
 
     value : (m,), -inf outside the support, where the derivatives are zero.
     gradient : (m, n).
-    curvature : (m, n, n), positive semidefinite: the negative Hessian less the second derivatives of the
-    frequencies, in the mean over the data.
+    curvature : (m, n, n), positive semidefinite: the negative Hessian without the second derivatives of the
+    frequencies, averaged over the data.
     """
 
     value: Array
@@ -30,11 +30,11 @@ class Expansion:
     curvature: Array
 
     def of(self, rows: Array) -> Expansion:
-        """That of some of the points."""
+        """Expansion of some of the points."""
         return Expansion(self.value[rows], self.gradient[rows], self.curvature[rows])
 
     def without_prior(self, z: Array, weight: Array) -> Expansion:
-        """A density over scores z (m, n) less so much, (n,), of the standard normal prior of each."""
+        """Density over scores z (m, n) without fractions ``weight`` (n,) of their standard normal priors."""
         return Expansion(
             self.value + 0.5 * np.sum(weight * z**2, axis=1),
             self.gradient + weight * z,
@@ -70,7 +70,7 @@ class NormalScores:
 
     def to_x(self, z: Array) -> Array:
         """Parameters of scores (..., n), within their bounds."""
-        # cut, for half-bounded parameters have no finite value at the end
+        # cut, since half-bounded parameters have no finite value at the end
         return self._priors.from_normal(self._cut(self._coupled(z)))
 
     def to_z(self, x: Array) -> Array:
@@ -88,12 +88,12 @@ class NormalScores:
         return z if root is None else np.asarray(z @ root.T)
 
     def of_each(self, x: Array) -> tuple[Array, Array]:
-        """Scores of parameters (..., n) as if they were independent, and the slopes of these, (..., n)."""
+        """Scores of parameters (..., n) as if these were independent, and their slopes, (..., n)."""
         v = self._cut(self._priors.to_normal(x))
         return v, np.exp(self._priors.log_densities(x) + 0.5 * v**2 + _HALF_LOG_2PI)
 
     def by_score(self, slope: Array, x: Array, z: Array) -> Array:
-        """Derivatives over parameters (..., k, n) as ones over scores, at parameters and scores (..., n).
+        """Derivatives over scores from those over parameters (..., k, n), at parameters and scores (..., n).
 
         d x_i / d z_j = L_ij phi(v_i) / p_i(x_i), v = L z, p_i the density of the prior.
         """
@@ -101,18 +101,18 @@ class NormalScores:
         return np.asarray(scaled if root is None else scaled @ root)
 
     def slope(self, x: Array, z: Array) -> Array:
-        """Slopes of parameters over their own scores L z, (..., n): the normal density over the prior's."""
+        """Slopes (..., n) of parameters over their own scores L z: the normal density over the prior's."""
         log_density, own = self._priors.log_densities(x), self._coupled(z)
         if self.parameters.root is not None:
             own = self._cut(own)
         return np.asarray(np.exp(-0.5 * own**2 - _HALF_LOG_2PI - log_density))
 
     def log_prior(self, z: Array) -> Array:
-        """Log prior density over scores (..., n), (...)."""
+        """Log prior density (...) over scores (..., n)."""
         return np.asarray(-0.5 * np.sum(z**2, axis=-1) - z.shape[-1] * _HALF_LOG_2PI)
 
     def with_prior(self, likelihood: Expansion, x: Array, z: Array) -> Expansion:
-        """The log posterior density over scores z (m, n), from the log likelihood over parameters x (m, n).
+        """Log posterior density over scores z (m, n), from the log likelihood over parameters x (m, n).
 
         The standard normal prior has the gradient -z and the curvature 1.
         """
@@ -128,11 +128,11 @@ class NormalScores:
 def distinct(
     z: Array, value: Array, curvature: Array, distance: float, *, depth: float = np.inf, drop: float = np.inf
 ) -> Array:
-    """The optimum that each of the ends (..., k, n) of optimisations belongs to, by its number, (..., k).
+    """Index (..., k) of the optimum that each of the ends (..., k, n) of optimisations belongs to.
 
-    An optimum has its own number. A lower end is one of its copies within ``distance`` standard deviations by
-    its curvature (..., k, n, n), unless it is lower by more than ``drop``. Ends without a density, and those
-    lower than the best by more than ``depth``, have none, -1.
+    An optimum has its own index. A lower end within ``distance`` standard deviations of it, by its curvature
+    (..., k, n, n), is a copy, unless it is lower by more than ``drop``. Ends without a density, and those
+    lower than the best by more than ``depth``, have -1.
 
     value : (..., k), log density, or any order of precedence
     """
@@ -160,6 +160,6 @@ def distinct(
 def best_of_distinct(
     z: Array, value: Array, curvature: Array, distance: float, most: int | None = None
 ) -> list[int]:
-    """Numbers of the optima among ends (k, n), the best first, ``most`` at the most; as of `distinct`."""
+    """Indices of the optima among ends (k, n), the best first, ``most`` at most; as of `distinct`."""
     numbers = np.flatnonzero(distinct(z, value, curvature, distance) == np.arange(len(z)))
     return [int(i) for i in numbers[np.argsort(-value[numbers], kind="stable")][:most]]

@@ -1,4 +1,4 @@
-"""Mixtures of Student-t densities: density, draws, refits to weighted points, and the weights of these."""
+"""Mixtures of Student-t densities: density, draws, refits to weighted points, and importance weights."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Mixture:
     share : (..., k) fractions of the whole, zero for components that are not used.
     centre : (..., k, n).
     factor : (..., k, n, n), square roots of the scale matrices: factor factor^T.
-    degrees_of_freedom : of all of them, infinite for Gaussians.
+    degrees_of_freedom : of all components, infinite for Gaussians.
     """
 
     share: Array
@@ -33,7 +33,7 @@ class Mixture:
 
 
 def log_components(mixture: Mixture, points: Array) -> Array:
-    """Log of share times density of every component at points (..., p, n), (..., k, p)."""
+    """Log (..., k, p) of share times density of every component at points (..., p, n)."""
     nu, n = mixture.degrees_of_freedom, points.shape[-1]
     back = np.swapaxes(np.linalg.inv(mixture.factor), -1, -2)
     away = points[..., None, :, :] @ back
@@ -48,12 +48,12 @@ def log_components(mixture: Mixture, points: Array) -> Array:
 
 
 def log_mixture(mixture: Mixture, points: Array) -> Array:
-    """Log density at points (..., p, n), (..., p)."""
+    """Log density (..., p) at points (..., p, n)."""
     return log_sum_exp(log_components(mixture, points), axis=-2)
 
 
 def draw(mixture: Mixture, size: int, rng: np.random.Generator | np.random.RandomState) -> Array:
-    """Independent draws of one mixture, (size, n)."""
+    """Independent draws (size, n) of one mixture."""
     k, n = mixture.centre.shape
     which = rng.choice(k, size=size, p=mixture.share)
     normal = rng.standard_normal((size, n))
@@ -64,10 +64,10 @@ def draw(mixture: Mixture, size: int, rng: np.random.Generator | np.random.Rando
 
 
 def sobol_points(mixture: Mixture, log2_points: int, part: slice = slice(None)) -> Array:
-    """Points of a stack of mixtures from one scrambled Sobol sequence for all of them, (..., p, n).
+    """Points (..., p, n) of a stack of mixtures, from one scrambled Sobol sequence for all of them.
 
     log2_points : of the sequence.
-    part : which of its points.
+    part : of its points.
     """
     step, uniform = _standard_points(mixture.centre.shape[-1], log2_points, mixture.degrees_of_freedom)
     below = np.cumsum(mixture.share, axis=-1)[..., None, :-1] < uniform[part, None]
@@ -79,7 +79,7 @@ def sobol_points(mixture: Mixture, log2_points: int, part: slice = slice(None)) 
 
 @cache
 def _standard_points(n: int, log2_points: int, nu: float) -> tuple[Array, Array]:
-    """Points of a standard Student-t (2^log2_points, n), and uniform ones that choose a component."""
+    """Points (2^log2_points, n) of a standard Student-t, and uniform numbers that choose a component."""
     uniform = qmc.Sobol(n + 2, rng=np.random.default_rng(0)).random_base2(log2_points)
     uniform = np.clip(uniform, 1e-12, 1.0 - 1e-12)
     step = ndtri(uniform[:, :n])
@@ -91,13 +91,13 @@ def _standard_points(n: int, log2_points: int, nu: float) -> tuple[Array, Array]
 def shrunk_moments(
     mixture: Mixture, points: Array, log_weight: Array, *, least: float, wider: float, prior_points: float
 ) -> Mixture:
-    """Stacks of mixtures with the moments that a few weighted points (..., p, n) give their components.
+    """Mixtures with the moments of their components refitted to weighted points (..., p, n).
 
-    A component stays near where it was if few points speak of it: its moments are weighed as
+    A component with few points stays near where it was: new moments have the weight
     N / (N + prior_points n) against the old ones, N being the effective number of its points.
 
     log_weight : (..., p).
-    least : fraction of the whole that a used component keeps.
+    least : fraction of the whole that a used component keeps at least.
     wider : factor on the points' standard deviations.
     """
     n = points.shape[-1]
@@ -121,7 +121,7 @@ def shrunk_moments(
 
 
 def log_sum_exp(values: Array, axis: int | tuple[int, ...]) -> Array:
-    """log sum exp along axes, -inf where all are."""
+    """log sum exp along axes, -inf where all values are."""
     top = values.max(axis=axis, keepdims=True)
     top = np.where(np.isfinite(top), top, 0.0)
     with np.errstate(divide="ignore"):
@@ -131,7 +131,7 @@ def log_sum_exp(values: Array, axis: int | tuple[int, ...]) -> Array:
 
 # Importance weights with a heavier tail than this have no useful error (Vehtari et al., 2024).
 RELIABLE_K = 0.7
-# Fewest weights in the tail that a Pareto density is fitted to.
+# Fewest weights in a tail to which a Pareto density is fitted.
 _FEWEST_IN_TAIL = 5
 
 
@@ -140,9 +140,9 @@ class Weighted:
     """Weighted points of m densities and the integrals of these.
 
     points : (m, p, n).
-    weight : (m, p), each row adds up to one.
+    weight : (m, p), normalised in each row.
     log_evidence : (m,) log of the mean weight.
-    standard_error : (m,) of it, that of independent points, an upper bound for a Sobol sequence.
+    standard_error : (m,) of it as for independent points, an upper bound for a Sobol sequence.
     effective_size : (m,) (sum w)^2 / sum w^2.
     k_hat : (m,) Pareto shape of the largest weights.
     """
@@ -156,9 +156,9 @@ class Weighted:
 
 
 def weighted(points: Array, log_ratio: Array) -> Weighted:
-    """Points (m, p, n) with the logs (m, p) of target density over the density they were drawn from.
+    """Points (m, p, n) weighted by the log ratios (m, p) of target density over proposal density.
 
-    Where all of a row are -inf its log evidence is too, and the rest of it is not a number.
+    Where all ratios of a row are -inf so is its log evidence, and the rest of the row is not a number.
     """
     top = log_ratio.max(axis=1)
     top = np.where(np.isfinite(top), top, 0.0)
@@ -177,7 +177,7 @@ def weighted(points: Array, log_ratio: Array) -> Weighted:
 
 
 def effective_size(log_weight: Array) -> float:
-    """(sum w)^2 / sum w^2 of weights (p,) that are given by their logarithms."""
+    """(sum w)^2 / sum w^2 of weights (p,) given by their logarithms."""
     top = float(log_weight.max())
     if not np.isfinite(top):
         return 0.0
@@ -188,9 +188,9 @@ def effective_size(log_weight: Array) -> float:
 def pareto_shape(log_weight: Array) -> float:
     """Shape k-hat of a generalised Pareto density fitted to the largest of weights (p,).
 
-    The fifth or 3 sqrt(p) largest, whichever are fewer, by the posterior mean of Zhang and Stephens (2009)
-    with the prior of Vehtari et al. (2024, Pareto smoothed importance sampling, eq. 10): 10 weights of
-    shape 0.5. Infinite where fewer than five stand out.
+    The largest fifth or the 3 sqrt(p) largest, whichever are fewer, by the posterior mean of Zhang and
+    Stephens (2009) with the prior of Vehtari et al. (2024, Pareto smoothed importance sampling, eq. 10): 10
+    weights of shape 0.5. Infinite where the tail has fewer than five.
     """
     finite = log_weight[np.isfinite(log_weight)]
     n = len(finite)
@@ -204,7 +204,7 @@ def pareto_shape(log_weight: Array) -> float:
 
 
 def _generalised_pareto_shape(tail: Array) -> float:
-    """Shape of a generalised Pareto distribution of exceedances (m,) in ascending order."""
+    """Shape of a generalised Pareto distribution fitted to exceedances (m,) in ascending order."""
     m = len(tail)
     n_grid = 30 + int(np.sqrt(m))
     b = 1.0 - np.sqrt(n_grid / (np.arange(1, n_grid + 1) - 0.5))

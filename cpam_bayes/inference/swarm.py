@@ -1,11 +1,11 @@
 """Particle swarms for constants in a box and, beside them, ply angles on a grid: eq. (1) to (5).
 
 Constants move by eq. (1) and (2), memberships of the ply angles by eq. (5); a swarm without unknown plies has
-empty memberships and is the plain one. The objective is called once an iteration, on the feasible particles.
+empty memberships and is the plain one. The objective is called once per iteration, on the feasible particles.
 
 Memberships X and their velocities V, the matrices of eq. (3) and (4), are arrays ``(particles, plies,
-angles)``: a column of the paper is the last axis. How a matrix becomes a sequence, and what is done with a
-column that has lost all its members, is as of H. Liu, A. Abraham and A. E. Hassanien (Future Generation
+angles)``: a column of the paper is the last axis. How a matrix becomes a sequence, and how a column that
+has lost all its members is replaced, is as of H. Liu, A. Abraham and A. E. Hassanien (Future Generation
 Computer Systems 26, 2010, 1336-1343): the row of the largest membership, and a column drawn anew.
 
 The paper gives no settings. w = 0.7298 and c1 = c2 = 1.49618 are the inertia form of the constriction
@@ -69,12 +69,12 @@ TEXTS: Final[Mapping[str, str]] = {
     ),
     "setting": "{name} = {value!r} is not accepted: it must be {rule}",
 }
-"""All texts, by what happened."""
+"""All message texts by event."""
 
 
 @dataclass(frozen=True, slots=True)
 class SwarmSettings:
-    """Numerical settings of the swarm; the sources are named in `cpam_bayes.inference.swarm`.
+    """Numerical settings of the swarm; `cpam_bayes.inference.swarm` names their sources.
 
     particles : m of the paper, number of particles
     iterations : N of the paper, the budget
@@ -113,7 +113,7 @@ def _require(name: str, value: float, accepted: bool, rule: str) -> None:
 
 
 def decode(memberships: Array) -> Array:
-    """Sequences of fuzzy matrices: of each ply the angle of the largest membership.
+    """Sequences from fuzzy matrices: for each ply the angle of the largest membership.
 
     memberships : (..., n_plies, n_angles) -> (..., n_plies) grid indices.
     """
@@ -121,9 +121,9 @@ def decode(memberships: Array) -> Array:
 
 
 def normalised(memberships: Array, rng: np.random.Generator) -> Array:
-    """Memberships made lawful as section 3 says: none negative, those of one ply summing to 1.
+    """Memberships normalised as in section 3: none negative, those of one ply summing to 1.
 
-    A ply without any positive membership gets uniform random ones, see the module's text.
+    A ply without any positive membership gets uniform random ones, see the module's docstring.
 
     memberships : (..., n_plies, n_angles), any real numbers.
     """
@@ -138,13 +138,13 @@ def normalised(memberships: Array, rng: np.random.Generator) -> Array:
 
 
 _BOUNCE: Final = -0.5
-"""Fraction of the velocity kept by a component that was stopped at a bound (Clerc 2012)."""
+"""Factor on the velocity of a component that was stopped at a bound (Clerc 2012)."""
 
 _MAJORITY: Final = 0.9
-"""Fraction of the particles that have to agree."""
+"""Fraction of the particles that must agree."""
 
 _FLOOR: Final = 1e-6
-"""Fraction of the start's best value that an improvement is measured against, beside the best value.
+"""Fraction of the start's best value that is added to the best value as the reference of an improvement.
 
 Without it a misfit that goes to zero would improve by the same factor for ever.
 """
@@ -176,9 +176,9 @@ class SwarmState:
     positions, velocities : (..., n_constants), x and v of eq. (1) and (2).
     memberships, drifts : (..., n_plies, n_angles), X and V of eq. (5).
     personal_bests, best_memberships : personal bests.
-    personal_values : (particles,), infinite for a particle that never was feasible.
+    personal_values : (particles,), infinite for a particle that was never feasible.
     history : best value after the start and after each iteration.
-    evaluations : particles sent to the objective until now.
+    evaluations : particles sent to the objective so far.
     """
 
     positions: Array
@@ -199,12 +199,12 @@ class SwarmState:
 
 @dataclass(frozen=True, slots=True)
 class SwarmResult:
-    """Where a swarm ended, and how.
+    """End of a swarm, and its status.
 
     best : (n_constants,) and sequence : (n_plies,) grid indices of the smallest value.
-    personal_bests, personal_values : each particle's best, the values infinite for a particle that never was
+    personal_bests, personal_values : each particle's best, the values infinite for a particle that was never
     feasible.
-    iterations : done after the start.
+    iterations : number after the start.
     evaluations : forward solves; infeasible particles cost none.
     history : (iterations + 1,) best value so far.
     message : the status in words.
@@ -223,11 +223,11 @@ class SwarmResult:
 
 
 def confine(positions: Array, velocities: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Put particles that left the box back on its bounds and turn them round.
+    """Put particles that left the box back on its bounds and reverse their velocities.
 
     The position goes to the bound that was crossed, the velocity of that component changes sign
     and halves (Clerc 2012). An optimum on a bound is hit exactly, and a swarm that was pressed onto a bound
-    that holds none can still leave it.
+    without an optimum can still leave it.
 
     positions, velocities : (particles, n_constants).
     lower, upper : (n_constants,).
@@ -237,14 +237,14 @@ def confine(positions: Array, velocities: Array, lower: Array, upper: Array) -> 
 
 
 def start_swarm(problem: SwarmProblem, start: Array, rng: np.random.Generator) -> SwarmState:
-    """Evaluate start constants beside uniformly drawn memberships, all at rest.
+    """Evaluate start constants with uniformly drawn memberships, all velocities zero.
 
     start : (particles, n_constants), inside the bounds, for instance of ``initial_swarm``.
 
     Raises ``ValueError`` if no particle is feasible with a finite value.
     """
     positions = np.array(start, dtype=np.float64)
-    # no plies draw nothing, whatever the number of angles
+    # without plies nothing is drawn, whatever the number of angles
     shape = (len(positions), problem.n_plies, max(problem.n_angles, 1))
     memberships = normalised(1.0 - rng.random(shape), rng)
     values, solves = _evaluate(problem, positions, memberships)
@@ -304,7 +304,7 @@ def swarm_spread(problem: SwarmProblem, state: SwarmState) -> float:
 
     The distance is that of the component that differs most, as a fraction of its bounds' distance.
     The last tenth is left out because a few particles stay behind for hundreds of iterations
-    without changing the answer. Particles that never were feasible count with their start.
+    without changing the answer. Particles that were never feasible count with their start.
     """
     away = np.abs(state.personal_bests - state.personal_bests[state.leader])
     farthest = np.max(away / (problem.upper - problem.lower), axis=1)
@@ -312,7 +312,7 @@ def swarm_spread(problem: SwarmProblem, state: SwarmState) -> float:
 
 
 def stop_reason(problem: SwarmProblem, state: SwarmState, settings: SwarmSettings) -> Status | None:
-    """Say why the swarm stops here, or None if it goes on.
+    """Reason why the swarm stops here, or None if it goes on.
 
     Converged: the particles agree and the best value improved by no more than ``value_tolerance`` over
     the last ``patience`` iterations, relative to the value itself plus a millionth of the start's. They
@@ -340,8 +340,8 @@ def minimise_problem(
     """Minimise a function of constants and a sequence by a particle swarm, eq. (1), (2) and (5).
 
     Particles that are not feasible, or whose objective is not finite, get an infinite value, the
-    penalty of section 5.2; the former are not sent to the objective. The swarm stops when it converged
-    or when its budget is used, and says which; a time limit ends its budget. An interruption is not caught.
+    penalty of section 5.2; the former are not sent to the objective. The swarm stops when it has converged
+    or used its budget, as its status says; a time limit ends its budget. An interruption is not caught.
 
     start : (particles, n_constants), sets the swarm's size; ``settings.particles`` is not read here.
     progress : called with the iteration and the best value, the start first.
@@ -398,7 +398,7 @@ def _result(problem: SwarmProblem, state: SwarmState, settings: SwarmSettings, s
 
 
 def _evaluate(problem: SwarmProblem, positions: Array, memberships: Array) -> tuple[Array, int]:
-    """The values, infinite where infeasible or not finite, and the number of solves."""
+    """Values, infinite where infeasible or not finite, and the number of solves."""
     n = len(positions)
     allowed = np.asarray(problem.feasible(positions), dtype=np.bool_)
     values = np.full(n, np.inf)
@@ -419,9 +419,9 @@ def _read_only(array: Array) -> Array:
 def material_swarm(
     material: Material | Hybrid, unknowns: ParameterSet, n: int, rng: np.random.Generator
 ) -> Array:
-    """Draw the start positions of the unknown constants of a plate, `initial_swarm` for each material.
+    """Draw the start positions of the unknown constants of a plate, by `initial_swarm` for each material.
 
-    Constants that are not among the unknowns have their reference value.
+    Constants that are not unknown have their reference value.
 
     Returns (n, unknowns.size), columns as in ``unknowns.names``.
 
@@ -445,8 +445,8 @@ def initial_swarm(
     E2 is uniform in its bounds, E1 uniform between E2 and its upper bound, nu12 uniform in
     [-sqrt(E1/E2), sqrt(E1/E2)] cut to its bounds, all others uniform in theirs. E2 is drawn below
     the upper bound of E1, and E1 not below its own lower bound, so that every particle lies in
-    the box. The order of the two is that of a transversely isotropic ply: an isotropic one has E1 = E2 by
-    eq. (11), and of an orthotropic one both are uniform in their bounds.
+    the box. This order of the two is for a transversely isotropic ply: an isotropic one has E1 = E2 by
+    eq. (11), and for an orthotropic one both are uniform in their bounds.
 
     parameters : the unknowns, SI units; a fixed E1 or E2 among them limits the other one.
     symmetry : of the ply.
@@ -506,7 +506,7 @@ def minimise(
 
 
 def _draw(name: str, low: Array | float, high: Array | float, n: int, rng: np.random.Generator) -> Array:
-    """Draw n values uniformly between two limits, each a number or one for every particle."""
+    """Draw n values uniformly between two limits, each one number or one per particle."""
     low, high = np.broadcast_to(low, n), np.broadcast_to(high, n)
     empty = ~(low <= high)
     if empty.any():

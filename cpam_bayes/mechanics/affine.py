@@ -1,7 +1,7 @@
 """Discretised problems: K(p) = sum_q theta_q(p) K_q and M(p) = sum_q mu_q(p) M_q, dense or sparse.
 
 Forms on the reference square are weighted by products of one function of xi and one of eta, which keep the
-tensor structure of a Ritz space; the parities of the factors say which symmetries of the plate they leave.
+tensor structure of a Ritz space; the parities of the factors determine which symmetries of the plate remain.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SpaceT = TypeVar("SpaceT", bound=Space, covariant=True)
 BlockT = TypeVar("BlockT", bound="Block", covariant=True)
 
 
-# Off-diagonal fraction of a mass matrix that is left by the quadrature of orthonormal functions.
+# Off-diagonal fraction of a mass matrix due to the quadrature of orthonormal functions.
 _ROUNDING = 1e-13
 
 
@@ -43,7 +43,7 @@ class AffineMatrix:
 
     @cached_property
     def is_diagonal(self) -> bool:
-        """Whether every matrix of the sum is diagonal, but for the rounding of its integrals."""
+        """Whether every matrix of the sum is diagonal, up to the rounding of its integrals."""
         size = np.abs(self.stack).max(axis=0, initial=0.0)
         off = size - np.diag(np.diagonal(size))
         return bool(off.max(initial=0.0) <= _ROUNDING * size.max(initial=0.0))
@@ -59,7 +59,7 @@ class AffineMatrix:
         return AffineMatrix(self.stack[:, keep][:, :, keep], self.active)
 
     def project(self, basis: Array) -> AffineMatrix:
-        """The sum on the span of ``basis`` (n, r), symmetric to the last digit."""
+        """The sum on the span of ``basis`` (n, r), exactly symmetric."""
         stack = basis.T @ (self.stack @ basis)
         return AffineMatrix(0.5 * (stack + np.swapaxes(stack, 1, 2)), self.active)
 
@@ -76,7 +76,7 @@ class AffineMatrix:
         return out
 
     def combined(self, kept: Array, relation: Array) -> AffineMatrix:
-        """The sum in fewer terms, where coefficients are those kept (n_kept,) times ``relation``."""
+        """The sum in fewer terms, its coefficients being those kept (n_kept,) times ``relation``."""
         return AffineMatrix(np.tensordot(relation[:, self.active], self.stack, 1), kept)
 
 
@@ -84,7 +84,7 @@ def relations(coefficients: Array, norms: Array) -> tuple[Array, Array]:
     """Independent terms of a sum, (n_kept,), and all coefficients as sums of theirs, (n_kept, n_terms).
 
     coefficients : at many parameter sets (m, n_terms), which show the linear relations between them. norms :
-    of the matrices, (n_terms,): what is too small to matter is left out
+    of the matrices, (n_terms,): negligible terms are left out
     """
     size = np.abs(coefficients).max(axis=0)
     norm = norms * size
@@ -104,13 +104,13 @@ def relations(coefficients: Array, norms: Array) -> tuple[Array, Array]:
     return present[kept], relation
 
 
-# M-normalised eigenvectors (k, size) of some modes: (k,) the coefficient set of each, (k,) which of its
-# eigenvalues it has.
+# M-normalised eigenvectors (k, size) of some modes, from (k,) the coefficient set of each and (k,) the index
+# of its eigenvalue.
 ModeVectors = Callable[[Array, Array], Array]
 
 
 class Block(Protocol):
-    """Trial functions that couple only among themselves: what an eigensolver needs of them.
+    """The protocol that trial functions which couple only among themselves offer to an eigensolver.
 
     Coefficients are (m, n_stiffness) and (m, n_mass), as from ``AffineOperator.coefficients``.
     """
@@ -125,7 +125,7 @@ class Block(Protocol):
         ...
 
     def eigenpairs(self, stiffness: Array, mass: Array, n: int) -> tuple[Array, ModeVectors]:
-        """The n lowest eigenvalues of m coefficient sets, (m, n), and what gives their vectors."""
+        """The n lowest eigenvalues of m coefficient sets, (m, n), and a function for their vectors."""
         ...
 
     def energies(self, vectors: Array) -> tuple[Array, Array]:
@@ -134,7 +134,7 @@ class Block(Protocol):
 
 
 class RitzBlock(Block, Protocol):
-    """A block of a dense space."""
+    """The protocol of a block of a dense space."""
 
     @property
     def index(self) -> Array:
@@ -151,7 +151,7 @@ class RitzBlock(Block, Protocol):
         ...
 
     def lowest(self, near: Array, n: int, kept: Sequence[Array]) -> list[Array]:
-        """The n lowest eigenvalues of each term of K with that of M, on some functions, (m, n) each."""
+        """The n lowest eigenvalues of each term of K with that of M, on subsets of functions, (m, n) each."""
         ...
 
     def stiffness_at(self, stiffness: Array) -> Array:
@@ -167,11 +167,11 @@ class RitzBlock(Block, Protocol):
         ...
 
     def restricted(self, keep: Array, number: Array) -> RitzBlock:
-        """The block on the trial functions marked in ``keep``, which have these numbers in another space."""
+        """The block on the trial functions marked in ``keep``, renumbered by ``number`` for another space."""
         ...
 
     def compressed(self, stiffness: Array, mass: Array) -> RitzBlock:
-        """The block with as few terms as coefficients (m, n_terms) have independent directions."""
+        """The block reduced to the independent directions of coefficients (m, n_terms)."""
         ...
 
     def project(self, basis: Array) -> DenseBlock:
@@ -179,7 +179,7 @@ class RitzBlock(Block, Protocol):
         ...
 
     def dense(self) -> DenseBlock:
-        """The same with all its matrices."""
+        """The block with all its matrices explicit."""
         ...
 
 
@@ -198,7 +198,7 @@ class DenseBlock:
         return len(self.index)
 
     def _whitened(self, stiffness: Array, mass: Array) -> tuple[Array, Array]:
-        """K where M is the identity, of a large block its lower half, and what ``_mapped`` needs.
+        """K where M is the identity (lower half for a large block), and the map for ``_mapped``.
 
         That is M^-1/2 (m, n) where M is diagonal, else, with M = L L^T, L^-T (m, n, n), L of a large block.
         """
@@ -223,7 +223,7 @@ class DenseBlock:
         return _lowest(self._whitened(stiffness, mass)[0], n)
 
     def eigenpairs(self, stiffness: Array, mass: Array, n: int) -> tuple[Array, ModeVectors]:
-        """The n lowest eigenvalues of m coefficient sets, (m, n), and what gives their vectors.
+        """The n lowest eigenvalues of m coefficient sets, (m, n), and a function for their vectors.
 
         Vectors of a small block take one inverse iteration each, those of a large one come with the values.
         """
@@ -257,13 +257,13 @@ class DenseBlock:
         return self.stiffness.diagonals(self.n_terms[0]), self.mass.diagonals(self.n_terms[1])
 
     def restricted(self, keep: Array, number: Array) -> DenseBlock:
-        """The block on the trial functions marked in ``keep``, which have these numbers in another space."""
+        """The block on the trial functions marked in ``keep``, renumbered by ``number`` for another space."""
         k = keep[self.index]
         index = number[self.index[k]]
         return DenseBlock(self.stiffness.restricted(k), self.mass.restricted(k), index, self.n_terms)
 
     def compressed(self, stiffness: Array, mass: Array) -> DenseBlock:
-        """The block with as few terms as coefficients (m, n_terms) have independent directions."""
+        """The block reduced to the independent directions of coefficients (m, n_terms)."""
         k, m = (
             matrix.combined(*relations(c, matrix.norms(c.shape[1])))
             for matrix, c in ((self.stiffness, stiffness), (self.mass, mass))
@@ -276,13 +276,13 @@ class DenseBlock:
         return DenseBlock(self.stiffness.project(basis), self.mass.project(basis), index, self.n_terms)
 
     def dense(self) -> DenseBlock:
-        """The same."""
+        """The block itself."""
         return self
 
     def lowest(self, near: Array, n: int, kept: Sequence[Array]) -> list[Array]:
-        """The n lowest eigenvalues of each term of K with that of M, on some of the functions, (m, n) each.
+        """The n lowest eigenvalues of each term of K with that of M, on subsets of functions, (m, n) each.
 
-        near : (m,) eigenvalues of about the size of the first one of a deformation mode
+        near : (m,) rough eigenvalues of the first deformation mode
         kept : (size,) bool each
         """
         eye = np.eye(len(near))
@@ -297,7 +297,7 @@ class DenseBlock:
         return [np.stack(values) for values in zip(*each, strict=True)]
 
     def subset(self, keep: Array) -> DenseBlock:
-        """The block on some of its functions, ``keep`` (n,) bool, which are counted anew."""
+        """The block on some of its functions, ``keep`` (n,) bool, renumbered."""
         matrices = self.stiffness.restricted(keep), self.mass.restricted(keep)
         return DenseBlock(*matrices, np.arange(np.count_nonzero(keep)), self.n_terms)
 
@@ -333,7 +333,7 @@ def _lowest_by_krylov(k: Array, m: Array, shift: float, n: int, kept: Sequence[A
 
     With K + shift M = L L^T they are 1 / mu - shift, mu the largest eigenvalues of L^-1 M L^-T, by a block
     Krylov method (Golub and Underwood, in Mathematical Software III, 1977). Functions are left out by a
-    projection: phi_c = 0 where y = L^T phi is orthogonal to the columns c of L^-1. A restriction begins from
+    projection: phi_c = 0 where y = L^T phi is orthogonal to the columns c of L^-1. A restriction starts from
     the modes of all functions.
     """
     factor = np.linalg.cholesky(k + shift * m)
@@ -343,7 +343,7 @@ def _lowest_by_krylov(k: Array, m: Array, shift: float, n: int, kept: Sequence[A
         return np.asarray(solve_triangular(factor, m @ phi, lower=True, check_finite=False))
 
     size = np.arange(len(k))
-    # a fixed start without a symmetry
+    # a fixed start without symmetry
     start = np.cos(np.outer(1.0 + size, 1.0 + np.sqrt(np.arange(n))))
     found = []
     for mask in kept:
@@ -360,7 +360,7 @@ def _largest_by_krylov(
 ) -> tuple[Array, Array]:
     """The n largest eigenvalues (n,) of a symmetric image, and their vectors (size, n), without ``left``.
 
-    start, left : (size, k) vectors to begin with, and orthonormal ones to which all vectors are orthogonal
+    start, left : (size, k) starting vectors, and orthonormal ones to which all vectors are orthogonal
     """
 
     def orthonormal(y: Array, basis: Array) -> Array:
@@ -388,7 +388,7 @@ def _largest_by_krylov(
 def _lowest_pairs(matrix: Array, n: int) -> tuple[Array, Array]:
     """The n lowest eigenvalues (n,) of a matrix given by its lower half, and their vectors (size, n).
 
-    Of a few, vectors come by inverse iterations on the tridiagonal form, after all eigenvalues of it.
+    A few vectors are found by inverse iteration on the tridiagonal form, after all its eigenvalues.
     """
     size = len(matrix)
     if n <= _FEW * size:
@@ -446,15 +446,15 @@ def _iterated(k: Array, eigenvalues: Array, sets: Array, column: Array) -> Array
 
 # Size beyond which inverse iterations do not pay: with ten modes it is 40, with five 70.
 _LARGE = 60
-# Functions for each wanted eigenvalue from which on a Krylov method costs less; the shift over the first
-# eigenvalue, and the change of an eigenvalue over it with which the method ends.
+# Functions per wanted eigenvalue from which a Krylov method costs less; the shift over the first eigenvalue,
+# and the change of an eigenvalue over it at which the method ends.
 _FEW_OF_MANY, _KRYLOV_SHIFT, _SAME_VALUE = 20, 0.5, 1e-8
-# Fraction of the eigenpairs of a large block above which all of them, by divide and conquer, cost less, and
+# Fraction of the eigenpairs of a large block above which finding all, by divide and conquer, costs less, and
 # the number of columns that LAPACK treats at a time.
 _FEW, _WORK = 0.6, 32
-# Relative distance of eigenvalues under which an inverse iteration does not tell their vectors apart.
+# Relative distance of eigenvalues below which an inverse iteration does not separate their vectors.
 _CLOSE = 1e-5
-# Relative distance from an eigenvalue at which the inverse iteration is taken.
+# Relative shift of an inverse iteration from the eigenvalue.
 _SHIFT = 1e-11
 
 
@@ -491,7 +491,7 @@ class Profile(Protocol):
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        """Points between which a quadrature is smooth enough, none for what varies slowly."""
+        """Points between which the function is smooth enough for quadrature, none if it varies slowly."""
         ...
 
     def __call__(self, t: Array) -> Array:
@@ -513,7 +513,7 @@ class Polynomial:
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        """None."""
+        """No points."""
         return ()
 
     def __call__(self, t: Array) -> Array:
@@ -527,7 +527,7 @@ class Polynomial:
 
 @dataclass(frozen=True, slots=True)
 class _Local:
-    """A weight about a centre."""
+    """A weight concentrated about a centre."""
 
     centre: float
     width: float
@@ -544,7 +544,7 @@ class Bell(_Local):
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        """Panels of two widths, out to where it has vanished."""
+        """Ends of panels, out to where it has vanished."""
         return tuple(self.centre + k * self.width for k in (-8, -4, -2, 0, 2, 4, 8))
 
     def __call__(self, t: Array) -> Array:
@@ -574,12 +574,12 @@ class Twins:
 
     @property
     def parity(self) -> int:
-        """1."""
+        """1, even."""
         return 1
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        """Those of both."""
+        """The points of both."""
         return (*self.one.breaks, *(1.0 - t for t in self.one.breaks))
 
     def __call__(self, t: Array) -> Array:

@@ -1,9 +1,9 @@
-"""The smallest Ritz space that is converged for a plate, and how far from converged it is.
+"""The smallest converged Ritz space for a plate, and its remaining error.
 
 A rich space is solved at a few parameter sets. A small one grows where growth pays most until its
 frequencies agree with the rich one's, then loses the trial functions that no mode uses. The error
-of the small space is measured against the rich one, the error of the rich one against itself with
-its highest polynomials left out.
+of the small space is measured against the rich one, the error of the rich one against itself
+without its highest polynomials.
 """
 
 from __future__ import annotations
@@ -26,11 +26,10 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """Relative error of every frequency that is allowed at the sampled parameter sets.
+    """Largest relative error allowed of any frequency at the sampled parameter sets.
 
     kept : of the small space against the rich one.
-    rich : of the rich one against itself, as long as ``largest_degree`` polynomials in a direction are
-    enough for it.
+    rich : of the rich one against itself, with at most ``largest_degree`` polynomials in a direction.
     """
 
     kept: float
@@ -44,10 +43,10 @@ THICK = Tolerance(kept=2e-4, rich=1e-4)
 _THICK_RATIO = 1 / 40
 # Longer side over thickness beyond which double precision is not enough.
 _THINNEST = 700.0
-# Edge exponentials, from few to many: (exponentials at each edge, carried by all bending fields).
+# Edge exponentials, from few to many: (exponentials at each edge, whether all bending fields have them).
 _UNCOUPLED_LAYERS = ((1, False), (2, False), (3, False))
 _COUPLED_LAYERS = ((1, False), (1, True), (2, True), (3, True))
-# Fractions of a mode's energy under which trial functions are left out.
+# Fractions of a mode's energy below which trial functions are left out.
 _THRESHOLDS = 10.0 ** np.arange(-7.0, -4.0, 0.25)
 _MAX_LAYERS = 3
 _MAX_CORNER_LAYERS = 3
@@ -66,7 +65,7 @@ class ConvergedOperator:
 
     error : (n_modes,) estimated relative error, the largest over the sampled parameter sets.
     settings : the basis before trimming.
-    keep : its trial functions that were kept, bool.
+    keep : the trial functions kept, bool.
     """
 
     operator: DenseOperator
@@ -84,12 +83,12 @@ def converge(
 ) -> ConvergedOperator:
     """The problem on the smallest Ritz space found whose frequencies are converged at all samples.
 
-    samples : parameter values, each (n_samples,), that cover what will be asked.
-    tolerance : ``default_tolerance`` if left out.
-    allowance : (n_samples,) factors by which the error may exceed the tolerance at each sample, ones if
-    left out; the error returned is that of the samples with the smallest factor. Where even the largest
-    space does not meet it, the error says so; ``ValueError`` is raised where there are too few trial
-    functions for the modes.
+    samples : parameter values, each (n_samples,), that cover the range of use.
+    tolerance : by default that of ``default_tolerance``.
+    allowance : (n_samples,) factors by which the error may exceed the tolerance at each sample, by default
+    ones; the error returned is that of the samples with the smallest factor. It exceeds the tolerance where
+    even the largest space does not meet it. Raises ``ValueError`` where there are too few trial functions
+    for the modes.
     """
     tolerance = tolerance or default_tolerance(problem)
     n_samples = _count(samples)
@@ -105,7 +104,7 @@ def converge(
         np.ones(len(importance), dtype=bool),
         sampled_modes.frequencies[:, :n_modes] / rich - 1.0,
     )
-    # a smaller space errs more: the highest threshold that is allowed is found by halving
+    # a smaller space has a larger error: the highest threshold allowed is found by bisection
     low, high = -1, len(_THRESHOLDS)
     while high - low > 1:
         middle = (low + high) // 2
@@ -138,7 +137,7 @@ class RichFrequencies:
 def rich_frequencies(
     problem: Problem, samples: Values, n_modes: int, tolerance: Tolerance | None = None
 ) -> RichFrequencies:
-    """Frequencies as exact as ``converge`` would compare with, at parameter samples (n_samples,)."""
+    """The frequencies with which ``converge`` compares, at parameter samples (n_samples,)."""
     allowed = np.ones((_count(samples), 1))
     frequencies, error, _ = _rich(problem, samples, n_modes, tolerance or default_tolerance(problem), allowed)
     return RichFrequencies(frequencies, error)
@@ -177,8 +176,8 @@ def _grow(
 ) -> RitzSettings:
     """Smallest basis found whose error against ``reference`` (n_samples, n_modes) is within tolerance.
 
-    Each step adds two polynomials in x, or two in y, or exponentials, whichever lowers the error of
-    the hardest sample most for the trial functions that it costs.
+    Each step adds two polynomials in x, or two in y, or exponentials, whichever reduces the error of
+    the hardest sample most per trial function added.
     """
     n_modes = reference.shape[1]
     start = 7 + int(np.sqrt(n_modes) / 2)
@@ -220,7 +219,7 @@ def _grow(
 
 
 def _basis_size(settings: RitzSettings) -> int:
-    """Trial functions of a free plate, for comparing costs."""
+    """Number of trial functions of a free plate, to compare costs."""
     nx, ny = settings.degree_x, settings.degree_y
     more, corner = 2 * settings.layers, 2 * settings.corner_layers
     in_plane = 2 * (nx + corner) * (ny + corner)
@@ -234,8 +233,8 @@ def _rich(
 ) -> tuple[Array, Array, RitzSettings]:
     """Frequencies of a rich space at the samples, their relative errors (n_samples, n_modes), its settings.
 
-    The error is what a polynomial less in x, one less in y and one exponential less would add; the
-    space grows where that is too much, where fields are coupled first for one sample alone.
+    The error is the sum of those of one polynomial fewer in x, one fewer in y and one exponential
+    fewer; the space grows where that is too much, with coupled fields first for one sample alone.
     """
     _refuse_too_thin(problem)
     stiffness = np.abs(problem.state(samples).stiffness()).reshape(-1, 8, 8).max(axis=0)
@@ -273,12 +272,12 @@ def _rich(
 
 
 def _first_eigenvalues(problem: Problem, samples: Values, settings: RitzSettings) -> Array:
-    """The lowest eigenvalue of a deformation mode at each sample, roughly, (n_samples,)."""
+    """Rough lowest eigenvalue of a deformation mode at each sample, (n_samples,)."""
     return np.asarray((2 * np.pi * _sampled_frequencies(problem, samples, settings, 1)[:, 0]) ** 2)
 
 
 def _refuse_too_thin(problem: Problem) -> None:
-    """Refuse a plate whose bending stiffness drowns in the rounding of its shear stiffness.
+    """Refuse a plate whose bending stiffness is lost in the rounding of its shear stiffness.
 
     The eigenvalues of K span (a / h)^4. At 1/500 frequencies still agree to 1e-6 with a solution
     that eliminates the rotations first; at 1/1000 they are wrong in the third digit.
@@ -293,7 +292,7 @@ def _refuse_too_thin(problem: Problem) -> None:
 
 
 def _grown(settings: RitzSettings, wanting: list[bool], tolerance: Tolerance) -> RitzSettings:
-    """Settings with more of what is wanting: polynomials in x, in y, exponentials; or the same."""
+    """Settings with more polynomials in x or y, or exponentials, where wanting; or the same."""
     degree_x, degree_y = (
         min(n + 3, max(tolerance.largest_degree, n)) if more else n
         for n, more in zip((settings.degree_x, settings.degree_y), wanting[:2], strict=True)
@@ -312,19 +311,19 @@ def _grown(settings: RitzSettings, wanting: list[bool], tolerance: Tolerance) ->
 
 
 def _without_highest(space: RitzSpace, axis: int) -> Array:
-    """Mask of the trial functions that are not of the highest polynomial of their family."""
+    """Mask of the trial functions without the highest polynomial of their family."""
     return np.concatenate([s.pairs[:, axis] < (s.x, s.y)[axis].size - 1 for s in space.sectors])
 
 
 def _more_modes(n_modes: int) -> int:
-    """Modes to look at so that in-plane ones which other constants would bring into range are seen."""
+    """Number of modes to solve, so as to see in-plane ones that other constants bring into range."""
     return 2 * n_modes + 4
 
 
 def _importance(operator: DenseOperator, spectrum: Spectrum, n_modes: int) -> Array:
     """Largest fraction of a mode's energy that a trial function carries, (n_functions,).
 
-    c_i^2 (K_ii - lambda M_ii) / lambda: to first order what lambda gains if function i is left out.
+    c_i^2 (K_ii - lambda M_ii) / lambda: to first order the increase of lambda if function i is left out.
     Modes beyond the first n_modes count where they are purely in-plane: these move past the bending
     modes when the constants change.
     """
@@ -345,7 +344,7 @@ def _importance(operator: DenseOperator, spectrum: Spectrum, n_modes: int) -> Ar
 
 
 def _rigid_functions(space: RitzSpace, problem: Problem) -> Array:
-    """Mask of the trial functions that rigid-body motions are made of."""
+    """Mask of the trial functions of which rigid-body motions are made."""
     motions = {"u": ((0, 0), (0, 1)), "v": ((0, 0), (1, 0)), "w": ((0, 0), (1, 0), (0, 1))}
     (x, wx), (y, wy) = space.x_grid, space.y_grid
     masks = []

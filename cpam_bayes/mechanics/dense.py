@@ -35,7 +35,7 @@ class SpaceValues:
         self._rules: dict[Region, Quadrature] = {}
         self._points: dict[Region, tuple[Array, Array]] = {}
         self._sectors: dict[tuple[int, Region, Derivative], Array] = {}
-        # The key holds identities, so the arrays and families are kept as long as the values are.
+        # Keys hold identities, so arrays and families are kept as long as the values.
         self._values: dict[tuple[int, int, bool], tuple[Family, Array, Array]] = {}
         self._overlaps: dict[tuple[object, ...], tuple[Family, Family, Array]] = {}
         self._broken: dict[tuple[float, ...], tuple[Array, Array]] = {}
@@ -53,7 +53,7 @@ class SpaceValues:
         return self._points[region]
 
     def sectors(self, atom: Atom, region: Region) -> list[tuple[int, Array]]:
-        """The sectors of a field that have functions, and what an atom is of these at a region's points."""
+        """The non-empty sectors of a field, with the values of an atom at a region's points."""
         found = []
         for i, sector in enumerate(self.space.sectors):
             if sector.field != atom.field or not sector.size:
@@ -79,7 +79,7 @@ class SpaceValues:
     ) -> Array:
         """Integrals of products of functions or derivatives of two families, (left.size, right.size).
 
-        profile : a weight along the axis
+        profile : weight along the axis
         """
         key = (id(left[0]), left[1], id(right[0]), right[1], axis, profile)
         if key not in self._overlaps:
@@ -101,7 +101,7 @@ class SpaceValues:
 def _area_pieces(form: Form, values: SpaceValues) -> list[Piece]:
     """Sector-by-sector matrices of an area form, by products of one-dimensional integrals.
 
-    Its weight is one or a product of functions of xi and of eta.
+    The weight is one or a product of functions of xi and of eta.
     """
     pieces = []
     for i, left in enumerate(values.space.sectors):
@@ -148,13 +148,13 @@ def _general_pieces(form: Form, values: SpaceValues) -> list[Piece]:
 
 
 def _projection_pieces(form: Form, values: SpaceValues, rule: Quadrature) -> list[Piece]:
-    """Sector-by-sector matrices of a form that is a sum of products of integrals."""
+    """Sector-by-sector matrices of a "projection" form, a sum of products of integrals."""
     functions = projected_functions(form, rule)
 
     def moments(atom: Atom) -> list[tuple[int, Array]]:
         each = [(i, at.T @ functions) for i, at in values.sectors(atom, form.region)]
         size = max((np.abs(g).max() for _, g in each), default=0.0)
-        # what is left of integrals that vanish by parity
+        # integrals that vanish by parity leave rounding
         return [(i, np.where(np.abs(g) > 1e-12 * size, g, 0.0)) for i, g in each]
 
     left = moments(form.left)
@@ -179,14 +179,14 @@ def form_pieces(form: Form, values: SpaceValues) -> list[Piece]:
 
 
 def active_terms(problem: Problem, samples: Values, matrix: MatrixKind) -> Array:
-    """True for the forms whose coefficient is not zero at all samples, (n_forms,) bool."""
+    """True for the forms whose coefficient is not zero at some sample, (n_forms,) bool."""
     c = np.abs(np.atleast_2d(problem.coefficients(samples, matrix)))
     c = c.reshape(-1, c.shape[-1])
     return np.asarray(c.max(axis=0) > 1e-12 * _comparable(problem.forms(matrix), c))
 
 
 def _comparable(forms: Sequence[Form], coefficients: Array) -> Array:
-    """Magnitude that a coefficient is compared with to be called zero: its largest diagonal relatives.
+    """Reference magnitude for calling a coefficient zero: that of its diagonal relatives.
 
     Relatives are forms over the same region with the same weight.
     """
@@ -202,7 +202,7 @@ def _comparable(forms: Sequence[Form], coefficients: Array) -> Array:
 def discretise(problem: Problem, space: RitzSpace, samples: Values) -> DenseOperator:
     """The problem on a dense space, split by the symmetries that hold at all ``samples``.
 
-    samples : parameter values, each (n_samples,), that cover what will be asked: forms whose
+    samples : parameter values, each (n_samples,), that cover the range of use: forms whose
     coefficient is zero at all of them are left out, and sectors that no form couples are separated.
     """
     n_k, n_m = len(problem.forms("stiffness")), len(problem.forms("mass"))
@@ -212,7 +212,7 @@ def discretise(problem: Problem, space: RitzSpace, samples: Values) -> DenseOper
 def discretise_at(problem: Problem, space: RitzSpace, samples: Values) -> DenseOperator:
     """The problem at fixed parameter samples only, to be used with ``np.eye(n_samples)`` as coefficients.
 
-    It needs the memory of n_samples matrices instead of one a form.
+    It needs the memory of n_samples matrices instead of one per form.
     """
     stiffness, mass = (np.atleast_2d(problem.coefficients(samples, kind)) for kind in MATRICES)
     n = max(len(stiffness), len(mass))
@@ -258,7 +258,7 @@ def _is_point_mass(form: Form) -> bool:
 
 
 def _row(form: Form, space: RitzSpace) -> Array:
-    """What a form at a point takes of every trial function, (n_functions,)."""
+    """Values of every trial function in a form at a point, (n_functions,)."""
     point = np.array([form.region.point])
     row = np.zeros(sum(s.size for s in space.sectors))
     start = 0

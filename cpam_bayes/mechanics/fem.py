@@ -1,9 +1,9 @@
 """Finite elements: the 8-node serendipity quadrilateral with reduced integration, by scikit-fem.
 
 The element that ABAQUS calls S8R. All five fields share one scalar basis. Strain energies take 2 x 2 Gauss
-points an element: full integration would lock as the plate gets thin. Kinetic energies take 3 x 3, which is
-exact: with 2 x 2 points the mass of eight nodes has rank four, and modes without mass would appear. The
-affine operators of such spaces have every term's entries on one shared pattern.
+points per element: full integration would lock as the plate gets thin. Kinetic energies take 3 x 3, which is
+exact: with 2 x 2 points the mass of eight nodes has rank four, and modes without mass would appear. In the
+affine operators of such spaces all terms share one sparsity pattern.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ from cpam_bayes.plate.edges import CONDITIONS, EDGES, FIELDS, STATED, Field, con
 
 Array = NDArray[Any]
 
-# Polynomial degree that the rules integrate: 2 x 2 and 3 x 3 points.
+# Polynomial degree integrated by the rules of 2 x 2 and 3 x 3 points.
 REDUCED, FULL = 3, 5
 # Uniform elements along the longer side, and the least along the shorter.
 _LONGER, _SHORTER = 24, 16
-# Least width of an element, of the plate's side: thinner ones cost digits and gain nothing.
+# Least width of an element, as a fraction of the side: thinner ones cost digits and gain nothing.
 _THINNEST = 2e-4
-# Points an element for a part of an edge: its ends are met within a thousandth of the edge.
+# Points per element for a part of an edge: its ends are met to within a thousandth of the edge.
 _MIDPOINTS = 64
 # Distance from the mesh, in units of the plate, at which a point still counts as on it.
 _ON_MESH = 1e-6
@@ -60,7 +60,7 @@ class Grading:
     """Widths of the elements along the edges.
 
     first : of the outermost one, in decay lengths of the edge layer.
-    growth : ratio of each further one to that before it.
+    growth : ratio of each further one to the one before.
     """
 
     first: float = 0.25
@@ -72,7 +72,7 @@ DEFAULT_GRADING = Grading()
 
 @dataclass(frozen=True, slots=True)
 class ElementQuadrature(Quadrature):
-    """A rule that knows its elements. cells : (m,) their numbers; local : (2, m, n_points / m)."""
+    """A rule with its elements. cells : (m,) their numbers; local : (2, m, n_points / m) coordinates."""
 
     cells: Array
     local: Array
@@ -83,10 +83,10 @@ class FemSpace:
     """Serendipity trial functions of the five fields on a mesh in reference coordinates.
 
     basis : the scalar basis with the reduced rule.
-    free : unknowns of it that each field keeps.
+    free : its unknowns that are free in each field.
     facets : boundary facets of the named edges.
     size : nominal length and width, m.
-    stiffness_degree : of the polynomials that the rule of the stiffness integrates.
+    stiffness_degree : polynomial degree integrated by the rule of the stiffness.
     """
 
     basis: Any
@@ -126,8 +126,8 @@ class FemSpace:
     def quadrature(self, region: Region, matrix: Literal["stiffness", "mass"] = "stiffness") -> Quadrature:
         """Points and weights of a region.
 
-        The area has 2 x 2 points an element for forms of the stiffness and 3 x 3 for those of the
-        mass. An edge has three points an element, its weights add up to its length in units of the
+        The area has 2 x 2 points per element for forms of the stiffness and 3 x 3 for those of the
+        mass. An edge has three points per element; its weights add up to its length in units of the
         plate's nominal width (x0, x1) or length (y0, y1). Raises ``ValueError`` for an edge that
         the mesh does not name and for a point that is not on the mesh.
         """
@@ -203,7 +203,7 @@ class FemSpace:
         return ElementQuadrature(region, points, np.ones(1), cells, local)
 
     def _locate(self, points: Array) -> tuple[Array, Array, Array]:
-        """True for points (n, 2) on the mesh, with the element of each and its local coordinates."""
+        """Indices of the points (n, 2) that are on the mesh, their elements and local coordinates."""
         mesh = self.basis.mesh
         nodes = mesh.doflocs[:, mesh.dofs.element_dofs]
         low, high = nodes.min(axis=1), nodes.max(axis=1)
@@ -236,13 +236,13 @@ def fem_space(
     """Elements for a rectangular plate with the given edges.
 
     edges : four of F, S, C for x = 0, y = 0, x = length, y = width.
-    nx, ny : elements along x and y before grading; left out, about square ones. ``grading`` cuts the
-    outermost ones further, down to a quarter of the decay length of a free edge's twisting layer; it also
-    resolves the singular corner of a clamped and a free edge. ``None`` leaves them whole.
+    nx, ny : elements along x and y before grading; by default about square ones. ``grading`` subdivides the
+    outermost ones, down to a quarter of the decay length of a free edge's twisting layer; it also resolves
+    the singular corner of a clamped and a free edge. ``None`` leaves them whole.
 
     With the default counts frequencies of six to ten modes are within 0.05 % of converged ones
-    for h / a from 1/10 to 1/1000; the locking that reduced integration leaves grows like (a / h)^2
-    beyond. Raises ``ValueError`` for counts below one.
+    for h / a from 1/10 to 1/1000; beyond, the locking that remains with reduced integration grows like
+    (a / h)^2. Raises ``ValueError`` for counts below one.
     """
     size = _size(nominal)
     counts = [n if n is not None else d for n, d in zip((nx, ny), default_counts(nominal), strict=True)]
@@ -265,9 +265,9 @@ def fem_space_from_mesh(path: str | Path, edges: str, nominal: PlateState, *, un
     """Elements read from a file: any outline, with holes, of 4-, 8- or 9-node quadrilaterals.
 
     The file has the plate's own coordinates, x and y from the corner x = y = 0, in units of
-    ``unit`` metres: millimetres as the plate file. The nominal length and width only scale it to
-    reference coordinates, so a plate whose length varies is the mesh stretched. Lines in groups
-    named x0, y0, x1, y1 get the conditions of ``edges``, in this order; other boundary is free.
+    ``unit`` metres: by default millimetres, like the plate file. The nominal length and width only
+    scale it to reference coordinates, so a plate whose length varies is the mesh stretched. Lines in
+    groups named x0, y0, x1, y1 get the conditions of ``edges``, in this order; other boundary is free.
     S needs an edge along its axis: on an oblique one the held fields would be the wrong ones.
 
     Raises ``ValueError`` for a file or mesh that cannot be used, and says why.
@@ -287,7 +287,7 @@ def fem_space_from_mesh(path: str | Path, edges: str, nominal: PlateState, *, un
 
 
 def default_counts(nominal: PlateState) -> tuple[int, int]:
-    """Elements along x and y that ``fem_space`` takes by itself, before grading."""
+    """Default numbers of elements along x and y in ``fem_space``, before grading."""
     size = _size(nominal)
     nx, ny = (max(_SHORTER, round(_LONGER * s / max(size))) for s in size)
     return nx, ny
@@ -298,7 +298,7 @@ def _size(nominal: PlateState) -> tuple[float, float]:
 
 
 def _cuts(n: int, layer: float, grading: Grading | None) -> Array:
-    """n equal elements of [0, 1], the first and last cut into ones that grow from ``layer`` on."""
+    """Ends of n equal elements of [0, 1], the outermost cut into ones that grow inwards by ``grading``."""
     if grading is None:
         return np.linspace(0.0, 1.0, n + 1)
     inside: list[float] = []
@@ -326,16 +326,16 @@ def _along_its_axis(space: FemSpace, name: str) -> bool:
     return bool(np.ptp(space.basis.doflocs["xy".index(name[0]), nodes]) < _ON_MESH)
 
 
-# Eigenvalues beyond those asked for: Lanczos finds the second of an equal pair late.
+# Eigenvalues beyond those requested: Lanczos finds the second of an equal pair late.
 _SPARE = 2
 
 
 @dataclass(frozen=True)
 class Pattern:
-    """Positions of entries of square matrices (n, n), by columns.
+    """A sparsity pattern of square matrices (n, n), by columns.
 
     rows, columns : (n_entries,), columns ascending and rows ascending in each.
-    starts : (n + 1,), where each column begins.
+    starts : (n + 1,), first entry of each column.
     """
 
     rows: Array
@@ -353,7 +353,7 @@ class Pattern:
 
 
 def _pattern(keys: Array, n: int) -> Pattern:
-    """The pattern of the keys row + n * column, ascending."""
+    """The pattern of ascending keys row + n * column."""
     rows, columns = (keys % n).astype(np.int32), (keys // n).astype(np.int32)
     starts = np.searchsorted(columns, np.arange(n + 1)).astype(np.int32)
     for array in (rows, columns, starts):
@@ -366,7 +366,7 @@ class SparseAffineMatrix:
     """A symmetric matrix that is a sum of fixed matrices times coefficients, on one pattern.
 
     data : (n_active, n_entries) entries of the matrices, sparse since a form couples two fields only.
-    active : (n_active,) the coefficients that they belong to.
+    active : (n_active,) the coefficients to which they belong.
     """
 
     pattern: Pattern
@@ -391,8 +391,8 @@ class SparseBlock:
     """A block of a sparse space.
 
     index : (n,) positions of its trial functions in the whole space.
-    shift : (rad/s)^2, negative, the point next to which eigenvalues are sought; it makes the stiffness of a
-    free plate regular.
+    shift : (rad/s)^2, negative, the point nearest to which eigenvalues are sought; it makes the stiffness of
+    a free plate regular.
     """
 
     stiffness: SparseAffineMatrix
@@ -414,9 +414,9 @@ class SparseBlock:
         return np.stack([lam for lam, _ in self._each_lowest(stiffness, mass, n)])
 
     def eigenpairs(self, stiffness: Array, mass: Array, n: int) -> tuple[Array, ModeVectors]:
-        """The n lowest eigenvalues of m coefficient sets, (m, n), and what gives their vectors.
+        """The n lowest eigenvalues of m coefficient sets, (m, n), and a function for their vectors.
 
-        The iteration of ``eigenvalues``, which finds both.
+        By the iteration of ``eigenvalues``, which finds both.
         """
         values, vectors = zip(*self._each_lowest(stiffness, mass, n), strict=True)
         stacked = np.stack(vectors)
@@ -430,7 +430,7 @@ class SparseBlock:
     def _lowest(self, stiffness: Array, mass: Array, i: int, n: int) -> tuple[Array, Array]:
         """The n lowest eigenvalues (n,) and vectors (size, n) of coefficient set i."""
         pattern = self.stiffness.pattern
-        # where all sets share them, coefficients are given once
+        # coefficients that all sets share are given once
         k = self.stiffness.entries(stiffness[min(i, len(stiffness) - 1)])
         m = self.mass.entries(mass[min(i, len(mass) - 1)])
         if n + _SPARE >= self.size:
@@ -474,7 +474,7 @@ SparseOperator = AffineOperator[FemSpace, SparseBlock]
 def discretise_sparse(problem: Problem, space: FemSpace, samples: Values) -> SparseOperator:
     """The problem on a sparse space, split into the fields that couple at any of the ``samples``.
 
-    samples : parameter values, each (n_samples,), that cover what will be asked: forms whose
+    samples : parameter values, each (n_samples,), that cover the range of use: forms whose
     coefficient is zero at all of them are left out. A symmetric laminate gives a membrane and a
     bending block.
     """
@@ -506,7 +506,7 @@ def discretise_sparse(problem: Problem, space: FemSpace, samples: Values) -> Spa
 
 
 def _coupled_fields(forms: list[Form]) -> list[tuple[Field, ...]]:
-    """Fields in groups that no form couples."""
+    """Groups of fields that no form couples with each other."""
     pairs = np.array([(FIELDS.index(f.left.field), FIELDS.index(f.right.field)) for f in forms]).T
     n = len(FIELDS)
     graph = coo_array((np.ones(pairs.shape[1]), tuple(pairs)), shape=(n, n))
@@ -537,7 +537,7 @@ def _form_entries(
 
 
 def _sorted_unique(parts: list[Array]) -> Array:
-    """Sorted unique integers, millions of them: by hashing, as ``np.unique`` does, it is ten times slower."""
+    """Sorted unique integers; hashing, as in ``np.unique``, is ten times slower for millions of them."""
     keys = np.sort(np.concatenate(parts))
     return keys[np.concatenate(([True], keys[1:] > keys[:-1]))]
 
@@ -552,7 +552,7 @@ def _on_pattern(pattern: Pattern, keys: Array, entries: list[tuple[int, Array, A
 
 
 def _reference_eigenvalue(nominal: PlateState, fields: tuple[Field, ...]) -> float:
-    """An eigenvalue of the order of the lowest, (rad/s)^2: ten times that of a strip's rigidity."""
+    """An eigenvalue of the order of the lowest, (rad/s)^2: ten times the estimate from a strip's rigidity."""
     k, h = np.real(nominal.stiffness()), float(np.real(nominal.thickness))
     length, width = float(np.real(nominal.length)), float(np.real(nominal.width))
     if set(fields) <= set(MEMBRANE_FIELDS):

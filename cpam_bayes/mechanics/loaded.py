@@ -1,9 +1,9 @@
-"""A plate with loads at points: on its modes and its static responses there, block by block of symmetry.
+"""A plate with loads at points, on its modes and its static responses to them, by symmetry block.
 
-A mass at a point is M + u m u^T. It joins all symmetries of a plate, but the plate without it keeps them: its
-few lowest modes in each block and its responses to a unit load for each u hold the plate with the mass as
-well (component mode synthesis with residual flexibility: Craig and Bampton, AIAA J. 6, 1968; MacNeal, Comput.
-Struct. 1, 1971).
+A mass at a point is M + u m u^T. It couples all symmetries of a plate, but the plate without it keeps them:
+its few lowest modes in each block and its responses to a unit load for each u represent the plate with the
+mass as well (component mode synthesis with residual flexibility: Craig and Bampton, AIAA J. 6, 1968; MacNeal,
+Comput. Struct. 1, 1971).
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ from cpam_bayes.mechanics.affine import (
 
 Array = NDArray[Any]
 
-# Of a response that the modes hold already, relative to its flexibility; rounding leaves 1e-9 of one.
+# Regularisation of responses that the modes already contain, relative to their flexibility; rounding leaves
+# 1e-9 of one.
 _NUGGET = 1e-8
 
 
@@ -40,7 +41,7 @@ class PlateModes:
     """A plate at m parameter sets, and its modes in leading vectors of its basis, block by block.
 
     energy, mass : K + shift M and M, (m, n, n)
-    vectors : (m, n_leading, n_modes) with an energy of one
+    vectors : (m, n_leading, n_modes) of unit energy
     masses : (m, n_modes)
     """
 
@@ -55,7 +56,7 @@ class RitzBasis:
     """A plate on the Ritz bases of m parameter sets: its modes, then its responses to loads.
 
     energy, mass : K + shift M and M, (m, r, r)
-    modes : of each block in its leading vectors, (m, n_leading, n_modes) with an energy of one
+    modes : of each block in its leading vectors, (m, n_leading, n_modes) of unit energy
     responses : of each block to the loads, (m, n, n_loads)
     """
 
@@ -71,13 +72,13 @@ class RitzBasis:
 
 
 def columns_of(modes: list[Array]) -> list[slice]:
-    """Where the modes of each block (m, n, k) stand among all of them."""
+    """Slices of the modes of each block (m, n, k) in all of them."""
     ends = np.cumsum([0, *(v.shape[2] for v in modes)]).tolist()
     return [slice(a, b) for a, b in pairwise(ends)]
 
 
 def ritz_basis(plate: PlateModes, loads: Array) -> RitzBasis:
-    """A plate on its modes, and its responses to loads (m, n_loads, n)."""
+    """A plate on its modes and its responses to loads (m, n_loads, n)."""
     (m, n_loads, _), r = loads.shape, sum(mu.shape[1] for mu in plate.masses)
     energy, mass = (np.zeros((m, r + n_loads, r + n_loads)) for _ in range(2))
     responses = []
@@ -99,7 +100,7 @@ def ritz_basis(plate: PlateModes, loads: Array) -> RitzBasis:
         matrix[:, r:, :r] = np.swapaxes(matrix[:, :r, r:], 1, 2)
     i = np.arange(r, r + n_loads)
     diagonal = energy[:, i, i]
-    # where an edge holds the field, the load does nothing
+    # where an edge holds the field, the load has no effect
     energy[:, i, i] += np.where(diagonal > 0.0, _NUGGET * diagonal, 1.0)
     return RitzBasis(energy, mass, plate.vectors, responses)
 
@@ -154,23 +155,23 @@ def lowest_modes(
     return 1.0 / mu - shift, np.swapaxes(back @ every[:, :, wanted] / np.sqrt(mu)[:, None], 1, 2)
 
 
-# Modes of all parts together that a loaded block is solved in, over those asked for.
+# Modes of all parts together in which a loaded block is solved, beyond those requested.
 _FURTHER = 24
-# Shift of the energy over the highest eigenvalue asked for, or over the one of so many: it makes a free plate
-# stiff, and a response to a load is lost in rounding where it is as low as the first modes.
+# Shift of the energy over the highest eigenvalue requested, or over that of at least this many modes: it
+# makes a free plate stiff; if as low as the first modes, responses to loads would be lost in rounding.
 _SHIFT, _FEWEST = 0.1, 12
-# Fraction of its modes from which on a part is taken with all of them, and no response is left to it.
+# Fraction of its modes from which a part is taken with all of them, so that no response remains.
 _MOST = 0.4
-# Numbers of a stack of matrices that are solved at a time.
+# Entries of a stack of matrices that are solved at a time.
 _STACK = 2**22
 
 
 @dataclass(frozen=True, slots=True)
 class LoadedBlock:
-    """Blocks of a dense space that only masses at points join.
+    """Blocks of a dense space that are coupled only by masses at points.
 
     parts : without these masses
-    rows : (r, n) what moves at the points for each trial function, part by part
+    rows : (r, n) fields of each trial function at the points, part by part
     inertia : (n_terms, r) mass in each row for a coefficient of one
     """
 
@@ -202,14 +203,14 @@ class LoadedBlock:
         return self.modes(stiffness, mass, n, vectors=False)[0]
 
     def eigenpairs(self, stiffness: Array, mass: Array, n: int) -> tuple[Array, ModeVectors]:
-        """The n lowest eigenvalues of m coefficient sets, (m, n), and what gives their vectors."""
+        """The n lowest eigenvalues of m coefficient sets, (m, n), and a function for their vectors."""
         values, vectors = self.modes(stiffness, mass, n)
         return values, lambda sets, column: vectors[sets, column]
 
     def modes(self, stiffness: Array, mass: Array, n: int, *, vectors: bool = True) -> tuple[Array, Array]:
         """The n lowest eigenvalues of m coefficient sets, (m, n), and their vectors, (m, n, size).
 
-        vectors : none where they are not wanted
+        vectors : whether they are wanted; else empty
         """
         step = int(max(1, _STACK // sum(part.size**2 for part in self.parts)))
         batches = [
@@ -238,7 +239,7 @@ class LoadedBlock:
                 (plate.energy, plate.mass, plate.vectors, plate.masses), (energy, inertia, v, mu), strict=True
             ):
                 of.append(one)
-            # unit loads, then the inertia of what of their responses no mode has
+            # unit loads, then the inertia of the part of their responses outside the modes
             load = np.broadcast_to(row.T, (len(mass), *row.T.shape))
             beside = np.linalg.solve(energy, load) - v @ (np.swapaxes(v, 1, 2) @ load)
             loads.append(np.concatenate((load, inertia @ beside), axis=2))
@@ -256,16 +257,16 @@ class LoadedBlock:
         return k, m + (vectors @ self.rows.T) ** 2 @ self.inertia.T
 
     def lowest(self, near: Array, n: int, kept: Sequence[Array]) -> list[Array]:
-        """The n lowest eigenvalues of each term of K with that of M, on some of the functions, (m, n) each.
+        """The n lowest eigenvalues of each term of K with that of M, on subsets of functions, (m, n) each.
 
-        near : (m,) the number of terms counts; kept : (size,) bool each
+        near : (m,), only its length is used; kept : (size,) bool each
         """
         eye = np.eye(len(near))
         blocks = [self if k.all() else self.subset(k) for k in kept]
         return [block.eigenvalues(eye, eye, n) for block in blocks]
 
     def subset(self, keep: Array) -> LoadedBlock:
-        """The block on some of its functions, ``keep`` (n,) bool, which are counted anew."""
+        """The block on some of its functions, ``keep`` (n,) bool, renumbered."""
         of_parts = zip(self.parts, self.split(keep), strict=True)
         parts = tuple(part.subset(k) for part, k in of_parts if k.any())
         return LoadedBlock(parts, self.rows[:, keep], self.inertia)
@@ -286,12 +287,12 @@ class LoadedBlock:
         return k, m + self.inertia @ self.rows**2
 
     def restricted(self, keep: Array, number: Array) -> LoadedBlock:
-        """The block on the trial functions marked in ``keep``, which have these numbers in another space."""
+        """The block on the trial functions marked in ``keep``, renumbered by ``number`` for another space."""
         parts = tuple(part.restricted(keep, number) for part in self.parts if keep[part.index].any())
         return LoadedBlock(parts, self.rows[:, keep[self.index]], self.inertia)
 
     def compressed(self, stiffness: Array, mass: Array) -> LoadedBlock:
-        """The block with as few terms as coefficients (m, n_terms) have independent directions."""
+        """The block reduced to the independent directions of coefficients (m, n_terms)."""
         norms = sum(part.mass.norms(mass.shape[1]) for part in self.parts)
         kept, relation = relations(mass, norms + self.inertia @ np.sum(self.rows**2, axis=1))
         parts = tuple(
@@ -310,7 +311,7 @@ class LoadedBlock:
         return self._with_masses(k, m, self.rows @ basis, np.arange(basis.shape[1]))
 
     def dense(self) -> DenseBlock:
-        """The same with all its matrices."""
+        """The block with all its matrices explicit."""
         k, m = (
             _sum([AffineMatrix(self._placed(i, a.stack), a.active) for i, a in enumerate(matrices)])
             for matrices in ([p.stiffness for p in self.parts], [p.mass for p in self.parts])
@@ -338,17 +339,17 @@ def _sum(matrices: Sequence[AffineMatrix]) -> AffineMatrix:
     return AffineMatrix(stack, active)
 
 
-# Up to so many trial functions the matrices of a loaded block cost less than its modes.
+# Number of trial functions up to which the matrices of a loaded block cost less than its modes.
 _SMALL = 60
-# Of a row, what is left of a field that vanishes at its point by symmetry.
+# Relative size of a row up to which its field vanishes at the point by symmetry.
 _ROUNDING = 1e-12
 
 
 def loaded_blocks(parts: Sequence[DenseBlock], rows: Array, inertia: Array) -> tuple[RitzBlock, ...]:
     """Blocks of a plate with masses at points, from those without them.
 
-    rows : (r, n) what moves at the points for each trial function of the space; inertia : as of
-    ``LoadedBlock``. One part alone, and a small block, have their masses in their matrices.
+    rows : (r, n) fields of each trial function of the space at the points; inertia : as in
+    ``LoadedBlock``. A single part, and a small block, have the masses in their matrices.
     """
     of_parts = [rows[:, part.index] for part in parts]
     sizes = np.stack([np.abs(row).max(axis=1, initial=0.0) for row in of_parts], axis=1)
@@ -375,7 +376,7 @@ def loaded_blocks(parts: Sequence[DenseBlock], rows: Array, inertia: Array) -> t
 
 
 def symmetry_parts(operator: DenseOperator) -> LoadedBlock:
-    """All parts of an operator as if they were joined, and the masses that join some of them."""
+    """All parts of an operator as one block, with the masses that couple some of them."""
     parts: list[DenseBlock] = []
     rows, inertia = [], []
     for block in operator.blocks:
@@ -387,5 +388,5 @@ def symmetry_parts(operator: DenseOperator) -> LoadedBlock:
 
 
 def unloaded(parts: tuple[DenseBlock, ...]) -> LoadedBlock:
-    """Blocks side by side, without masses that join them."""
+    """Blocks as the parts of one, without masses that couple them."""
     return LoadedBlock(parts, np.zeros((0, sum(p.size for p in parts))), np.zeros((parts[0].n_terms[1], 0)))

@@ -19,7 +19,7 @@ Array = NDArray[Any]
 # Cells of a plate by number of nodes. A 9-node cell is read as its 8 outer nodes.
 _QUADS = {"quad": 4, "quad8": 8, "quad9": 8}
 _LINES = ("line", "line3")
-# Extent of the mesh in units of the plate beyond which the file has other units.
+# Extent of the mesh, relative to the plate, beyond which the file must be in other units.
 _LARGEST, _SMALLEST = 5.0, 0.2
 # Points of an element at which it must not be folded: corners and 3 x 3 Gauss points.
 _GAUSS = (0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15))
@@ -35,7 +35,7 @@ def read_mesh(
 
     Nodes that no quadrilateral uses are left out. A curved cell is bounded by the parabolas
     through its outer nodes. Raises ``ValueError`` for a file that cannot be read, a mesh that is
-    no plate (triangles, folded or overlapping cells, pieces that are not joined, other units) and
+    not a plate (triangles, folded or overlapping cells, pieces that are not joined, other units) and
     a ``required`` edge that it does not name.
     """
     file = _read(path)
@@ -66,7 +66,7 @@ def _read(path: Path) -> Any:
         raise ValueError(
             f"mesh {path}: reading meshes needs meshio; install it with the extra 'mesh'"
         ) from None
-    # what the reader lets through where a file is damaged or no Gmsh file
+    # what the reader raises where a file is damaged or not a Gmsh file
     damaged = (
         meshio.ReadError,
         ArithmeticError,
@@ -104,7 +104,7 @@ def _cells(file: Any) -> tuple[str, Array]:
 
 
 def _plane(points: Array, cells: Array) -> Array:
-    """x and y of the points (n, 2 or 3), once they are seen to be finite and of one z."""
+    """x and y of the points (n, 2 or 3), checked to be finite and of one z."""
     used = points[np.unique(cells)]
     if not np.all(np.isfinite(used)):
         raise ValueError("it has coordinates that are not finite numbers")
@@ -126,7 +126,7 @@ def _check_extent(points: Array, scale: tuple[float, float]) -> None:
 
 
 def _counter_clockwise(points: Array, cells: Array) -> Array:
-    """The cells with the orientation of all made alike, which changes nothing else."""
+    """The cells, all oriented counter-clockwise."""
     x, y = np.moveaxis(points[cells[:, :4]], -1, 0)
     doubled = np.sum(x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y, axis=1)
     reverse = [0, 3, 2, 1] if cells.shape[1] == 4 else [0, 3, 2, 1, 7, 6, 5, 4]
@@ -147,8 +147,8 @@ def _mesh(points: Array, cells: Array, n_nodes: int) -> tuple[Any, Array]:
             f"{len(middle)} nodes on {straight.nfacets} sides; neighbours must share the nodes in "
             "the middle of their sides (in Gmsh: merge duplicate nodes)"
         )
-    # With the ninth node where the eight put it, the map has no bubble that the element lacks:
-    # only then are rigid motions and constant strains exact in a curved cell.
+    # With the ninth node where the eight put it, the map has no bubble that the element lacks: only
+    # then are rigid motions and constant strains exact in a curved cell.
     nodes = points[cells]
     centre = nodes[:, 4:].sum(axis=1) / 2 - nodes[:, :4].sum(axis=1) / 4
     t_all = np.concatenate(

@@ -17,19 +17,19 @@ from cpam_bayes.plate.edges import EDGES, FIELDS, Field, conditions
 
 Array = NDArray[Any]
 
-# A rigid-body motion has eigenvalue zero but for rounding, which grows with the range of K (up to
-# 2e11 on thin plates); a deformation mode has not.
+# A rigid-body motion has eigenvalue zero up to rounding, which grows with the range of K (up to
+# 2e11 on thin plates); a deformation mode does not.
 RIGID_TOLERANCE = 1e-4
 # The same on a soft support, where the rigid-body motions have frequencies of their own.
 SUPPORTED_TOLERANCE = 0.5
-# A first deformation mode this far below the last one asked for is a rigid-body motion in disguise.
+# A first deformation mode this far below the last one requested is really a rigid-body motion.
 LEAST_SHARE = 1e-9
-# Relative distance of eigenvalues under which their eigenvectors are arbitrary in their common plane.
+# Relative distance of eigenvalues below which their eigenvectors are arbitrary in their common plane.
 COINCIDENT = 1e-9
 
 
 class RigidBodyError(ValueError):
-    """The number of zero-frequency modes is not the one that the edges leave."""
+    """A number of zero-frequency modes that differs from the one that the edges leave."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +37,8 @@ class Spectrum:
     """Lowest deformation modes of a stack of m parameter sets.
 
     eigenvalues : (m, n_modes), (rad/s)^2, ascending.
-    block, column : (m, n_modes), where the mode's vector stands in ``vectors``: one array (m, n_block,
-    n_columns) a block, M-normalised, with the vectors of these modes only, or ``None``.
+    block, column : (m, n_modes), place of the mode's vector in ``vectors``.
+    vectors : one array (m, n_block, n_columns) per block, M-normalised, of these modes only, or ``None``.
     rigid : (m, n_rigid) eigenvalues of the rigid-body motions.
     """
 
@@ -72,9 +72,9 @@ def solve(
     """Lowest deformation modes, K phi = lambda M phi, of a stack of coefficient sets.
 
     stiffness (m, n_stiffness), mass (m, n_mass): coefficients as from ``operator.coefficients``.
-    The number of rigid-body motions is known from the edges and taken off. Raises
-    ``RigidBodyError`` if the lowest eigenvalues show another number, ``ValueError`` if the space
-    is smaller than what is asked for.
+    Rigid-body motions, whose number is known from the edges, are left out. Raises
+    ``RigidBodyError`` if the lowest eigenvalues show another number, ``ValueError`` if the space has
+    too few modes.
     """
     stiffness, mass = np.atleast_2d(stiffness), np.atleast_2d(mass)
     n_rigid = rigid_body_count(operator.problem.edges)
@@ -108,9 +108,9 @@ def lowest_frequencies(
 ) -> list[Array]:
     """The lowest frequencies of each matrix of an operator, and of its restrictions, (m, n_modes) Hz each.
 
-    The operator is that of ``discretise_at``. A large block is not solved for all its eigenvalues.
+    The operator is from ``discretise_at``. A large block is not solved for all its eigenvalues.
 
-    near : (m,) eigenvalues of about the size of the first ones
+    near : (m,) rough values of the first eigenvalues
     masks : the trial functions of every restriction, (n_functions,) bool each
     """
     n_rigid = rigid_body_count(operator.problem.edges)
@@ -140,7 +140,7 @@ def _vectors(mode_vectors: ModeVectors, size: int, where: tuple[Array, ...], col
 
 
 def check_rigid(ranked: Array, n_rigid: int, *, supported: bool) -> None:
-    """Raise ``RigidBodyError`` where lowest eigenvalues (..., n) are not those of so many rigid-body motions.
+    """Raise ``RigidBodyError`` unless the lowest eigenvalues (..., n) show n_rigid rigid-body motions.
 
     supported : whether the plate lies on a soft support
     """
@@ -178,7 +178,7 @@ def energy_terms(operator: AffineOperator[Any, Any], spectrum: Spectrum) -> tupl
 
 
 def _bilinear(operator: AffineOperator[Any, Any], block: int, phi: Array, psi: Array) -> tuple[Array, Array]:
-    """phi^T K_q psi and phi^T M_q psi of every term, by polarisation of the energies."""
+    """phi^T K_q psi and phi^T M_q psi for every term, by polarisation of the energies."""
     k, m = operator.blocks[block].energies(np.stack((phi + psi, phi - psi)))
     return (k[0] - k[1]) / 4, (m[0] - m[1]) / 4
 
@@ -190,7 +190,7 @@ def eigenvalue_derivatives(
 
     d lambda = phi^T (dK - lambda dM) phi. Where modes of one block coincide, their derivatives along
     a parameter are the eigenvalues of Phi^T (dK - lambda dM) Phi over the coinciding shapes Phi,
-    ascending: what the sorted eigenvalues do when that parameter grows (Lancaster, Numer. Math. 6,
+    ascending: those of the sorted eigenvalues as that parameter grows (Lancaster, Numer. Math. 6,
     1964).
 
     d_stiffness, d_mass : derivatives of the coefficients, (m, n_terms, n_parameters).
@@ -229,7 +229,7 @@ def _coincident(spectrum: Spectrum) -> list[tuple[int, list[int]]]:
 
 Kind = Literal["bending", "in-plane", "coupled"]
 
-# Fraction of in-plane kinetic energy under which a mode is called bending, and over 1 minus which in-plane.
+# Fraction of in-plane kinetic energy below which a mode is called bending, and above 1 minus which in-plane.
 PURE = 0.1
 # A second separable part this large beside the first makes a mode a combination, as on square plates.
 COMBINED = 0.5
@@ -313,8 +313,8 @@ def shapes_on_grid(
 def label_of_shape(values: Array, edges: str, field: Field) -> str:
     """Label of a shape given on a regular grid (nx, ny), from its leading parts.
 
-    A plate that is free all round has parts P_m(x) P_n(y), Legendre polynomials, which look like its
-    modes and tell a ring, f(x) + f(y), from a product; other plates have the leading separable parts.
+    For a plate that is free all round the parts are P_m(x) P_n(y), Legendre polynomials, which resemble
+    its modes and tell a ring, f(x) + f(y), from a product; for others the leading separable parts.
     """
     free = all(field not in e.held(name) for e, name in zip(conditions(edges), EDGES, strict=True))
     parts = _legendre_parts(values) if free else _separable_parts(values, edges, field)
@@ -362,9 +362,9 @@ def describe_modes(
 ) -> tuple[Mode, ...]:
     """Frequency, kind and label of every mode of the first parameter set.
 
-    The label of an in-plane mode is that of its larger displacement, named before it: "u(1,0)".
+    The label of an in-plane mode is that of its larger displacement, preceded by its name: "u(1,0)".
 
-    extent : as of ``shapes_on_grid``, where the plate is no rectangle.
+    extent : as in ``shapes_on_grid``, where the plate is not a rectangle.
     """
     shares = in_plane_fraction(operator, spectrum, mass)[0]
     modes = []

@@ -38,9 +38,9 @@ MEMBRANE_FIELDS: tuple[Field, ...] = ("u", "v")
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """Where a form is integrated: the area, an edge of it, or a point, in reference coordinates.
+    """The region of a form: the area, an edge of it, or a point, in reference coordinates.
 
-    span : the part of an edge. "projection" is the area too, but of products of integrals instead
+    span : the part of an edge. "projection" is the area too, but for products of integrals instead
     of an integral of products.
     """
 
@@ -102,16 +102,16 @@ def _strain_energy() -> tuple[tuple[Form, ...], NDArray[np.intp], NDArray[np.int
     return tuple(forms), np.array(entries).T, np.array(powers).T
 
 
-# Which entry of the laminate's stiffness each form has, (2, n_forms), and its powers of 1/length, 1/width.
+# The laminate stiffness entry of each form, (2, n_forms), and its powers of 1/length, 1/width.
 LAMINATE_FORMS, LAMINATE_ENTRIES, _POWER = _strain_energy()
-# The same entry in a flat 8 x 8 matrix, and where its product of sides stands in those of `_side_products`.
+# The same entry in a flat 8 x 8 matrix, and the index of its product of sides in `_side_products`.
 _FLAT_ENTRIES = np.ravel_multi_index(tuple(LAMINATE_ENTRIES), (N_STRAINS, N_STRAINS))
 _SIDES = np.array([[0, 2, 5], [1, 3, -1], [4, -1, -1]])[tuple(_POWER)]
 MASS_FORMS = tuple(Form(Atom(f), Atom(f)) for f in FIELDS)
 _ATOMS = tuple(dict.fromkeys(atom for row in STRAIN_ATOMS for atom, _ in row))
 _LEFT = np.array([_ATOMS.index(f.left) for f in LAMINATE_FORMS])
 _RIGHT = np.array([_ATOMS.index(f.right) for f in LAMINATE_FORMS])
-# Powers of h that the coefficients of LAMINATE_FORMS carry: 1 (A, A_s), 2 (B), 3 (D).
+# Powers of h in the coefficients of LAMINATE_FORMS: 1 (A, A_s), 2 (B), 3 (D).
 THICKNESS_POWERS = 1 + np.sum((LAMINATE_ENTRIES >= 3) & (LAMINATE_ENTRIES < 6), axis=0)
 
 
@@ -122,8 +122,8 @@ class PlateState:
     ``layup`` is (n_plies,) or (..., n_plies) degrees, or a precomputed ``LaminateGeometry``.
     ``changes`` are applied to the laminate's stiffness (..., 8, 8), first to last. ``skew`` is the
     angle in radians by which the edges x = 0 and x = length lean towards x; sides keep their lengths.
-    ``plies`` : what they are, ``None`` where all are alike. ``known`` : the stiffness with its changes, where
-    it has been computed.
+    ``plies`` : thicknesses and materials, ``None`` where all are alike. ``known`` : the stiffness with its
+    changes, where it has been computed.
     """
 
     length: Array
@@ -152,9 +152,9 @@ class PlateState:
         return self._changed(laminate_stiffness(*self._laminate))
 
     def computed(self, *, steps: bool = False) -> PlateState:
-        """The state with its stiffness, which several terms ask for.
+        """The state with its stiffness computed, which several terms need.
 
-        steps : whether the last axis are complex steps that have their real parts in common
+        steps : whether the last axis is of complex steps with a common real part
         """
         stiffness = (first_order_stiffness if steps else laminate_stiffness)(*self._laminate)
         return replace(self, known=self._changed(stiffness))
@@ -193,7 +193,7 @@ class Term:
 
 @dataclass(frozen=True, slots=True)
 class Bias:
-    """What three dimensions make of a frequency f of the theory, f exp(slope f).
+    """The correction of a frequency f of the theory for three dimensions, f exp(slope f).
 
     slope : 1/Hz
     """
@@ -205,7 +205,7 @@ class Bias:
         return np.asarray(f * np.exp(self.slope * f)) if self else f
 
     def slopes(self, f: Array) -> Array:
-        """Their derivatives over those of the theory."""
+        """Derivatives of ``of`` with respect to f."""
         return np.asarray((1.0 + self.slope * f) * np.exp(self.slope * f))
 
     def __bool__(self) -> bool:
@@ -217,16 +217,16 @@ THEORY_ALONE = Bias()
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """A plate with its unknown parameters: what is to be discretised.
+    """A plate with its unknown parameters, to be discretised.
 
     ``edges`` are four of F, S, C for x = 0, y = 0, x = length, y = width. ``state`` maps parameter values
-    to the plate's numbers, ``nominal`` is the state that discretisations are tuned to. ``admissible`` says
-    which parameter values are physical, (...) bool. ``supported`` plates stand on something soft, so that
-    their rigid-body motions have low frequencies instead of none.
+    to the plate's numbers, ``nominal`` is the state to which discretisations are tuned. ``admissible`` is
+    true where parameter values are physical, (...) bool. ``supported`` plates are on a soft support, so
+    that their rigid-body motions have low frequencies instead of zero.
 
-    ``bias`` : of the theory's frequencies, in all that a model predicts.
-    ``rigid_content`` : fields and powers of (xi, eta) that rigid-body motions have besides those of the
-    plane rectangle.
+    ``bias`` : of the theory's frequencies, included in all predictions of a model.
+    ``rigid_content`` : fields and powers of (xi, eta) in rigid-body motions besides those of the plane
+    rectangle.
     """
 
     parameters: ParameterSet
@@ -247,8 +247,8 @@ class Problem:
     def both_coefficients(self, values: Values, *, steps: bool = False) -> tuple[Array, Array]:
         """Coefficients of K and of M at the given values, (..., n_stiffness) and (..., n_mass).
 
-        steps : whether the last axis of the values are complex steps from one set of values: what comes out
-            is then of first order in them, and exact
+        steps : whether the last axis of the values is of complex steps from one set of values: the result is
+            then of first order in them, and exact
         """
         state = self.state(values).computed(steps=steps)
         return self._coefficients(state, values, "stiffness"), self._coefficients(state, values, "mass")
@@ -269,12 +269,12 @@ class Problem:
         return replace(self, terms=(*self.terms, *terms))
 
 
-# The parameter of a problem of several that says which of them, counted from 0.
+# The parameter that selects one of several problems, counted from 0.
 FORM = "form"
 
 
 def any_of(problems: Sequence[Problem]) -> Problem:
-    """A plate in any of several forms, which have terms and parameters in common."""
+    """A plate in any of several forms that share terms and parameters."""
     first, n = problems[0], len(problems)
     number = ParameterSet((Parameter(FORM, "", Uniform(0.0, n), 0.5 * n),))
     kinds: tuple[MatrixKind, ...] = ("stiffness", "mass")
@@ -337,7 +337,7 @@ def _skewed_coefficients(state: PlateState) -> Array:
 def inertia_coefficients(state: PlateState, values: Values) -> Array:
     """Coefficients of the kinetic energy, (..., 5): rho h for u, v, w, the integral of rho z^2 for rotations.
 
-    The latter is rho h^3 / 12 of a plate of one density.
+    The latter is rho h^3 / 12 for a plate of uniform density.
     """
     del values
     translation = state.density * state.thickness * state.length * state.width
@@ -366,13 +366,13 @@ MASS_OFFSET_TERM = Term(
     (Form(Atom("u"), Atom("phi_x")), Form(Atom("v"), Atom("phi_y"))),
     mass_offset_coefficients,
 )
-"""Mass of a plate whose upper half is heavier or lighter than the lower."""
-# Distance of the centre of mass from the midplane over the thickness that is rounding.
+"""Mass coupling of a plate whose upper half is heavier or lighter than the lower."""
+# Distance of the centre of mass from the midplane, over the thickness, that is mere rounding.
 _CENTRED = 1e-9
 
 
 def everything(values: Values) -> NDArray[np.bool_]:
-    """All parameter values are admissible."""
+    """True for all parameter values."""
     return np.ones(np.broadcast_shapes(*(np.shape(v) for v in values.values())), dtype=bool)
 
 
@@ -396,7 +396,7 @@ def bare_plate(
 
 @lru_cache(maxsize=1024)
 def rigid_body_count(edges: str) -> int:
-    """Number of rigid-body motions that the edges leave, by the rank of what they hold or spring.
+    """Number of rigid-body motions that the edges leave free, from the rank of the fields held or sprung.
 
     The motions are u = c1 - c3 y, v = c2 + c3 x, w = c4 - c5 x - c6 y, phi_x = c5, phi_y = c6.
     """

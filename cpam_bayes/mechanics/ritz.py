@@ -2,7 +2,7 @@
 
 A free edge of a thin Mindlin plate has a twisting boundary layer as wide as the thickness, in
 which the tangential rotation decays like exp(-s d / h), d being the distance from the edge. A
-polynomial basis resolves it slowly; one exponential at each edge removes the difficulty.
+polynomial basis resolves it slowly; one exponential at each edge solves this.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Space(Protocol):
     def quadrature(self, region: Region, matrix: MatrixKind = "stiffness") -> Quadrature:
         """Points and weights that integrate products of two trial functions over the region.
 
-        A space that underintegrates its stiffness says so by ``matrix``.
+        ``matrix`` matters to a space that underintegrates its stiffness.
         """
         ...
 
@@ -54,7 +54,7 @@ class Space(Protocol):
         ...
 
 
-# Fraction of an exponential that polynomials must lack for it to join a family.
+# Fraction of an exponential outside the polynomials that is needed for it to join a family.
 _NEW_SHARE = 1e-5
 
 
@@ -64,9 +64,9 @@ class RitzSettings:
 
     degree_x, degree_y : number of Legendre polynomials in each direction.
     layers : exponentials at each edge, with rates s times ``spread`` to half-integer powers.
-    coupled : whether w and the normal rotation carry them too (clamped edges, layups with D16, D26 or A45).
+    coupled : whether w and the normal rotation have them too (clamped edges, layups with D16, D26 or A45).
     corner_layers : exponentials of u and v with decay lengths of 1/8, 1/32, 1/128 ... of the plate, which
-    add up to the power of the distance that the stress has at a corner between a clamped and a free edge.
+    represent the power of the distance that the stress follows at a corner of a clamped and a free edge.
     """
 
     degree_x: int
@@ -96,8 +96,8 @@ def layer_rates(nominal: PlateState) -> tuple[float, float]:
 def graded_quadrature(rates: Sequence[float], degree: int) -> tuple[Array, Array]:
     """Composite Gauss rule on [0, 1] with panels graded towards both ends.
 
-    ``rates`` are the decay rates of the exponentials in units of the interval; panels begin at a
-    width of 2 / max(rates) and grow by 3, each with enough points for products of two
+    ``rates`` are the decay rates of the exponentials in units of the interval; panels begin with a
+    width of 2 / max(rates) and grow by a factor of 3, each with enough points for products of two
     polynomials of the given degree.
     """
     first = 2.0 / max(rates) if rates else 0.5
@@ -167,7 +167,7 @@ class Family:
 def _raw(
     degrees: Array, rates: tuple[float, ...], signs: tuple[int, ...], t: Array, derivative: bool
 ) -> Array:
-    """Legendre polynomials and e(-r t) + sign e(-r (1 - t)); sign 0 stands for the two ends apart."""
+    """Legendre polynomials and e(-r t) + sign e(-r (1 - t)); signs 2 and 3 are the two ends separately."""
     columns = list(legendre_values(t, int(degrees.max(initial=0)) + 1)[int(derivative)][..., degrees].T)
     for r in rates:
         near, far = np.exp(-r * t), np.exp(-r * (1 - t))
@@ -199,7 +199,7 @@ def make_families(
     split: bool,
     grid: tuple[Array, Array],
 ) -> tuple[Family, ...]:
-    """Orthonormal families of n polynomials and the exponentials, zero at the ends that are held.
+    """Orthonormal families of n polynomials and the exponentials, zero at held ends.
 
     ``split`` gives an even and an odd family, which needs equal conditions at both ends.
     """
@@ -221,7 +221,7 @@ def make_families(
 def _vanishing(values: Array) -> Array:
     """Combinations of raw functions that vanish where ``values`` (n_ends, n_raw) were taken, (n_raw, n).
 
-    The lowest polynomials are spent on it, so that the order of the others is kept.
+    The lowest polynomials are used up for this, so that the order of the others is kept.
     """
     n_ends, n_raw = values.shape
     transform = np.eye(n_raw)[:, n_ends:]
@@ -232,9 +232,9 @@ def _vanishing(values: Array) -> Array:
 def _orthonormal(raw: Array, transform: Array, w: Array, n_polynomials: int) -> Array:
     """Orthonormal combinations of the functions ``raw @ transform`` under the weights w, (n_raw, n).
 
-    Polynomials come first, being nearly orthonormal as they are, and an exponential that they all but
-    make up is left out. The orthonormal functions are then turned so that the exponentials stand
-    before the polynomials: leaving out the last function then leaves out the highest polynomial.
+    Polynomials come first, being nearly orthonormal already, and an exponential that is nearly a
+    combination of them is left out. The orthonormal functions are then rotated so that the exponentials
+    precede the polynomials: leaving out the last function then leaves out the highest polynomial.
     """
     root = np.sqrt(w)[:, None]
     transform = transform / np.linalg.norm(root * (raw @ transform), axis=0)
@@ -254,7 +254,7 @@ def _orthonormal(raw: Array, transform: Array, w: Array, n_polynomials: int) -> 
 class Sector:
     """Products of one x-family and one y-family of a field.
 
-    ``pairs`` (n, 2) names the products that are trial functions: x-function, y-function.
+    ``pairs`` (n, 2) : indices of the x-function and the y-function of each trial function.
     """
 
     field: Field
@@ -268,7 +268,7 @@ class Sector:
         return len(self.pairs)
 
     def products(self, in_x: Array, in_y: Array) -> Array:
-        """The trial functions by values of the two families, (n, x.size) and (n, y.size)."""
+        """Values of the trial functions from those of the two families, (n, x.size) and (n, y.size)."""
         return np.asarray(in_x[:, self.pairs[:, 0]] * in_y[:, self.pairs[:, 1]])
 
 
@@ -358,7 +358,7 @@ def ritz_space(edges: str, nominal: PlateState, settings: RitzSettings) -> RitzS
         held = (field in a.held(axis), field in b.held(axis))
         tangential = field == ("phi_y" if axis == "x" else "phi_x")
         if field in MEMBRANE_FIELDS:
-            # where B is not zero, the layer of the twist pulls u and v along
+            # where B is not zero, the twisting layer also involves u and v
             its_rates = corner_rates + (rates[axis] if settings.coupled and unsymmetric else ())
         else:
             its_rates = rates[axis] if tangential or settings.coupled else ()

@@ -1,4 +1,4 @@
-"""Work in parallel over any ``concurrent.futures.Executor``: processes, threads, a Dask cluster."""
+"""Parallel work over any ``concurrent.futures.Executor``: processes, threads, a Dask cluster."""
 
 from cpam_bayes.parallel.executors import ProcessPool, WorkersLostError, observed, open_executor, read_spec
 from cpam_bayes.parallel.sharing import Lasting, counted, lasting, run

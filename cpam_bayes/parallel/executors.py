@@ -1,8 +1,8 @@
-"""Where shared-out work is done: worker processes that are replaced when one dies, or a Dask cluster.
+"""Executors: worker processes that are replaced when one dies, or a Dask cluster.
 
-What all items share reaches a worker once: by a file of this machine whose large arrays are mapped and not
-read, so that the system has their pages once however many processes look at them, or as a message. A process
-that writes into such an array gets a copy of that page for itself.
+The object that all items share is sent to a worker once: as a message, or by a file of this machine whose
+large arrays are memory-mapped, so that all processes share their pages. A process that writes into such an
+array gets its own copy of the page.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ from cpam_bayes import __version__
 from cpam_bayes.running import cores, keep_to_one_core, single_blas_thread
 from cpam_bayes.storage import draft_file
 
-# Bytes of a buffer from which on it stands beside the pickle.
+# Size of a buffer, bytes, from which it is stored beside the pickle.
 _LARGE = 1 << 20
-# Processes that Windows lets one wait for.
+# Most processes that Windows can wait for.
 _MOST_WORKERS = 61
-# Buffers begin at multiples of this.
+# Alignment of buffers, bytes.
 _ALIGNED = 64
 _NUMBER = struct.Struct("<Q")
 
 
 def write_shared(value: Any, file: BufferedIOBase) -> None:
-    """Write an object: the number of large buffers, their sizes, that of the pickle, then all of them."""
+    """Write an object: number of large buffers, their sizes, that of the pickle, then pickle and buffers."""
     large: list[pickle.PickleBuffer] = []
     pickled = pickle.dumps(value, protocol=5, buffer_callback=lambda buffer: _kept(buffer, large))
     views = [buffer.raw() for buffer in large]
@@ -61,7 +61,7 @@ def write_shared(value: Any, file: BufferedIOBase) -> None:
 
 
 def read_shared(path: Path) -> Any:
-    """The object in a file, its large buffers mapped; they outlive the file's name."""
+    """The object in a file, its large buffers memory-mapped; they outlive the file's name."""
     with path.open("rb") as file:
         size = os.fstat(file.fileno()).st_size
         if os.name == "posix":
@@ -83,7 +83,7 @@ def copied(value: Any) -> Any:
     """The object restored from its pickle, in this process; raises as pickle does."""
     large: list[pickle.PickleBuffer] = []
     pickled = pickle.dumps(value, protocol=5, buffer_callback=lambda buffer: _kept(buffer, large))
-    # one copy of a large array, not that in a pickle besides
+    # only one copy of a large array, none in a pickle besides
     return pickle.loads(pickled, buffers=[bytearray(buffer.raw()) for buffer in large])
 
 
@@ -95,13 +95,13 @@ def _kept(buffer: pickle.PickleBuffer, large: list[pickle.PickleBuffer]) -> bool
     return False
 
 
-# Shared objects that a worker keeps: those of two calls of `run` that take turns on one cluster.
+# Most shared objects that a worker keeps: those of two calls of `run` alternating on one cluster.
 _MAX_KEPT = 2
 
 
 @dataclass(frozen=True, slots=True)
 class _Restored:
-    """A shared object, and the file that it came from, if from one."""
+    """A shared object, and the file from which it came, if any."""
 
     shared: Any
     path: str = ""
@@ -114,11 +114,11 @@ _delivered: OrderedDict[str, bytes] = OrderedDict()
 
 @dataclass(frozen=True, slots=True)
 class Ticket:
-    """The name of the shared object for a worker.
+    """A reference to a shared object for a worker.
 
     digest : SHA-256 of its pickle.
     path : a file that holds the pickle, for workers of this machine.
-    pickled : the pickle itself, for a worker that has no other way to it.
+    pickled : the pickle itself, for a worker that cannot get it otherwise.
     version : of the sender.
     """
 
@@ -133,8 +133,8 @@ class Outcome:
     """The outcome of a batch.
 
     results : of the items before the first that failed.
-    error : what that one raised.
-    missing : the worker has no way to the shared object, nothing was done.
+    error : raised by that one.
+    missing : the worker could not get the shared object, nothing was done.
     seconds : spent on the items.
     """
 
@@ -145,12 +145,12 @@ class Outcome:
 
 
 def digest_of(pickled: bytes) -> str:
-    """The name of a pickle."""
+    """Digest of a pickle, by which it is named."""
     return hashlib.sha256(pickled).hexdigest()
 
 
 def digest_of_file(file: BufferedIOBase) -> str:
-    """The name of the pickle in an open file, which is left at its beginning."""
+    """Digest of an open file's content; the file is left at its beginning."""
     file.seek(0)
     digest = hashlib.file_digest(file, "sha256").hexdigest()
     file.seek(0)
@@ -168,7 +168,7 @@ def written_ticket(shared: Any) -> Iterator[Ticket]:
 
 
 def work_through(work: Callable[[Any, Any], Any], ticket: Ticket, items: bytes) -> Outcome:
-    """Do the work on a batch, ``items`` being a pickled list.
+    """Do the work on a batch; items : a pickled list.
 
     Raises ``ValueError`` if the sender runs another version of the package.
     """
@@ -198,7 +198,7 @@ def _through(work: Callable[[Any, Any], Any], shared: Any, items: list[Any]) -> 
 
 
 def _portable(error: Exception) -> Exception:
-    """The error with its traceback as a note, or a plain one in its place if it cannot be pickled."""
+    """The error with its traceback as a note, or a plain substitute if it cannot be pickled."""
     note = f"In the worker:\n{''.join(traceback.format_exception(error))}"
     try:
         pickle.loads(pickle.dumps(error))
@@ -209,7 +209,7 @@ def _portable(error: Exception) -> Exception:
 
 
 def shared_of(ticket: Ticket) -> tuple[bool, Any]:
-    """The shared object, after True where it could be had."""
+    """Whether the shared object is available, and the object."""
     # Threads of one process wait for the one that restores it.
     with _lock:
         restored = _restored.get(ticket.digest)
@@ -219,7 +219,7 @@ def shared_of(ticket: Ticket) -> tuple[bool, Any]:
             restored = _from_file(ticket) if pickled is None else _Restored(pickle.loads(pickled))
         if restored is None:
             return False, None
-        # of two calls that share the same the later one's file stays longer
+        # of two calls that share the same object, the later one's file is kept longer
         _restored[ticket.digest] = replace(restored, path=ticket.path if restored.path else "")
         _restored.move_to_end(ticket.digest)
         while len(_restored) > _MAX_KEPT:
@@ -228,7 +228,7 @@ def shared_of(ticket: Ticket) -> tuple[bool, Any]:
 
 
 def _drop_withdrawn() -> None:
-    """Drop what came from files that are gone: the calls that shared it have ended."""
+    """Drop objects from files that are gone: the calls that shared them have ended."""
     for digest, restored in list(_restored.items()):
         if restored.path and not Path(restored.path).exists():
             del _restored[digest]
@@ -248,7 +248,7 @@ def _from_file(ticket: Ticket) -> _Restored | None:
 
 
 def deliver(digest: str, pickled: bytes) -> None:
-    """Leave the shared object with this worker, before the first batch that needs it."""
+    """Store a shared object's pickle in this worker, before the first batch that needs it."""
     with _lock:
         if digest not in _restored:
             _delivered[digest] = pickled
@@ -270,7 +270,7 @@ def has(digest: str) -> bool:
 
 
 def start_worker(lifeline: Connection) -> None:
-    """Prepare a worker process of a pool: one BLAS thread, deaf to Ctrl-C, and gone with its owner.
+    """Prepare a worker process of a pool: one BLAS thread, ignoring Ctrl-C, and ending with its owner.
 
     lifeline : the reading end of a pipe that the owner of the pool holds open.
     """
@@ -293,16 +293,16 @@ ACCEPTED = (
     f"{PROCESSES}, {SERIAL} or dask://HOST:PORT, the address of a Dask scheduler; with TLS tls://HOST:PORT"
 )
 _DASK = re.compile(r"(?P<scheme>dask|tls)://(?P<host>[^\s:/\[\]]+|\[[0-9A-Fa-f:.]+\]):(?P<port>[0-9]{1,5})/?")
-# Seconds that a scheduler may take to answer and to show its first worker.
+# Time that a scheduler may take to answer and to have a first worker, s.
 PATIENCE = 10.0
 
 
 class WorkersLostError(RuntimeError):
-    """Workers died again and again over the same work, or all are out of reach."""
+    """Repeated death of workers over the same work, or all of them out of reach."""
 
 
 def read_spec(text: str) -> str:
-    """The name of an executor, if it is one: `processes`, `serial`, `dask://HOST:PORT`, `tls://HOST:PORT`.
+    """The checked name of an executor: `processes`, `serial`, `dask://HOST:PORT`, `tls://HOST:PORT`.
 
     Raises ``ValueError`` for others.
     """
@@ -326,10 +326,10 @@ def open_executor(
     """An executor for ``run``, closed at the end; its workers are stopped after an exception.
 
     spec : ``None`` or "processes": worker processes of this machine, ``processes`` of them or as many as
-    there are cores; where there is one core, work in this process. "serial": ``None``, for work in this
-    process. "dask://host:port": the workers of that cluster, whose scheduler may take ``patience`` seconds to
-    answer and as many to show a worker. "tls://host:port": the same with TLS, whose certificates stand in
-    Dask's own configuration.
+    there are cores; where there is one core, work in this process. "serial": yields ``None``, for work in
+    this process. "dask://host:port": the workers of that cluster, whose scheduler may take ``patience``
+    seconds to answer and as many to have a worker. "tls://host:port": the same with TLS, with the
+    certificates of Dask's own configuration.
 
     Raises ``ValueError`` for anything else, a scheduler that does not answer or has no workers, TLS without
     certificates, and workers that have another version of this package or none.
@@ -358,7 +358,7 @@ def open_executor(
 
 
 def workers_of(executor: Executor) -> int:
-    """Number of batches that an executor works on at once, as far as it says."""
+    """Number of batches that an executor works on at once, the number of cores if it is unknown."""
     if isinstance(executor, (ProcessPool, DaskCluster)):
         return executor.workers
     said = getattr(executor, "_max_workers", None)
@@ -366,11 +366,11 @@ def workers_of(executor: Executor) -> int:
 
 
 class ProcessPool(Executor):
-    """Worker processes; after the death of one the next submission starts all of them anew."""
+    """A pool of worker processes; after the death of one the next submission restarts all of them."""
 
     def __init__(self, workers: int) -> None:
         self.workers = min(workers, _MOST_WORKERS) if sys.platform == "win32" else workers
-        # The workers hold the other end, and leave when this one is closed, by whatever death.
+        # The workers hold the other end, and end when this one is closed, for whatever reason.
         self._reader, self._lifeline = get_context("spawn").Pipe(duplex=False)
         self._pool = self._new_pool()
         self._started: set[BaseProcess] = set()
@@ -378,7 +378,7 @@ class ProcessPool(Executor):
         self._files = ExitStack()
 
     def ticket_of(self, parts: list[Any]) -> Ticket:
-        """A ticket for objects, the last one where they are the same objects; raises as pickle does."""
+        """A ticket for objects, the previous one where they are the same objects; raises as pickle does."""
         if self._lasting is not None:
             known, ticket = self._lasting
             if len(known) == len(parts) and all(a is b for a, b in zip(known, parts, strict=True)):
@@ -398,13 +398,13 @@ class ProcessPool(Executor):
         )
 
     def start(self, ready: Callable[[], None]) -> None:
-        """Have all workers start and call ``ready``, whose module they import, while others wait for none."""
+        """Start all workers with calls of ``ready``, whose module they import, ahead of other work."""
         for _ in range(self.workers):
             self.submit(ready)
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
-        """Hand a call to the workers."""
-        # A worker inherits the mask: Ctrl-C does not reach it before it has learnt to ignore it.
+        """Submit a call to the workers."""
+        # A worker inherits the mask: Ctrl-C does not reach it before it ignores the signal.
         with _interrupt_blocked():
             before = set(active_children())
             try:
@@ -426,7 +426,7 @@ class ProcessPool(Executor):
 
     def abandon(self) -> None:
         """Stop the workers whatever they are doing."""
-        # one that is only starting would look for queues that are gone, and say so
+        # one that is still starting would look for queues that are gone, and report it
         for worker in self._started:
             worker.kill()
         self._lifeline.close()
@@ -463,17 +463,17 @@ class DaskCluster(Executor):
         return max(1, sum(threads.values()))
 
     def submit(self, fn: Callable[..., T], /, *args: Any, **kwargs: Any) -> Future[T]:
-        """Hand a call to the scheduler."""
+        """Submit a call to the scheduler."""
         return cast("Future[T]", self._asked(self._calls.submit, fn, *args, **kwargs))
 
     def pickled(self, value: Any) -> bytes:
-        """A pickle that a worker can read, which has not the main module of this process."""
+        """A pickle that a worker can read without the main module of this process."""
         import cloudpickle
 
         return bytes(cloudpickle.dumps(value))
 
     def deliver(self, digest: str, pickled: bytes) -> None:
-        """Leave a pickle with every worker that has not had it; those that just died are passed over."""
+        """Send a pickle to every worker that lacks it; those that just died are skipped."""
         held: dict[str, bool] = self._asked(self._client.run, has, digest, on_error="ignore")
         lacking = [worker for worker, there in held.items() if not there]
         if lacking:
@@ -520,7 +520,7 @@ def _connected(spec: str, address: str, patience: float) -> Iterator[DaskCluster
 
 
 def _require_encryption_as_configured(security: Any, spec: str, address: str) -> None:
-    """Raise ``ValueError`` for TLS without certificates, and for none where Dask is set to ask for it."""
+    """Raise ``ValueError`` for TLS without certificates, and for no TLS where Dask is set to require it."""
     try:
         configured = security.get_connection_args("client")
     except OSError as error:
@@ -572,7 +572,7 @@ _observer: ContextVar[Observer | None] = ContextVar("observer_of_shared_work", d
 
 @contextmanager
 def observed(observer: Observer) -> Iterator[None]:
-    """Tell somebody of all that is shared out inside: the number of items done, from 0, and of all."""
+    """Report all work distributed inside to an observer: the number of items done, from 0, and of all."""
     before = _observer.set(observer)
     try:
         yield
@@ -582,7 +582,7 @@ def observed(observer: Observer) -> Iterator[None]:
 
 @contextmanager
 def reporting(n: int) -> Iterator[Callable[[], None]]:
-    """Report ``n`` items; yields what is called after each. What an item itself shares out is not told."""
+    """Report ``n`` items; yields a function to call after each. Work that an item distributes is not."""
     observer, done = _observer.get(), 0
     if observer is None:
         yield lambda: None

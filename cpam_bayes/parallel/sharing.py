@@ -1,4 +1,4 @@
-"""Sharing out: items go to workers in batches and their results come back in order."""
+"""Distribution of work: items go to workers in batches and their results come back in order."""
 
 from __future__ import annotations
 
@@ -44,48 +44,48 @@ Shared = TypeVar("Shared")
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-# How often a batch may be lost with its worker.
+# Most times that a batch may be lost with its worker.
 _MAX_LOSSES = 3
-# Seconds that a batch should last: long beside the cost of sending it, short beside a user's patience.
+# Target duration of a batch, s: long compared with the cost of sending it, short for a user.
 _BATCH_SECONDS = 0.5
-# A batch is at most this many times larger than one before it.
+# Largest growth factor from one batch to the next.
 _GROWTH = 8
-# How often work that is limited in time looks at the clock, seconds.
+# Interval at which work that is limited in time checks the clock, s.
 _LOOK_SECONDS = 1.0
-# Batches handed out for each worker: one that it works on and one that waits.
+# Batches handed out per worker: one in work and one waiting.
 _AHEAD = 2
 
 
 class Lasting:
-    """Objects that several calls of `run` share: worker processes are sent them once for all calls."""
+    """Objects shared by several calls of `run`, sent to worker processes once for all calls."""
 
     def __init__(self, parts: list[Any] | None, ticket: Ticket | None = None) -> None:
         self._parts, self._ticket = parts, ticket
 
     @property
     def parts(self) -> list[Any]:
-        """The objects, a worker's own ones in a worker."""
+        """The objects; in a worker, its own copies."""
         if self._parts is None:
             assert self._ticket is not None
             _, self._parts = shared_of(self._ticket)
         return cast("list[Any]", self._parts)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Their ticket alone, where there is one."""
+        """Pickle only the ticket, where there is one."""
         return Lasting, (None if self._ticket else self._parts, self._ticket)
 
 
 def lasting(parts: list[Any], executor: Executor | None) -> Lasting:
     """Objects for calls on an executor, which must not change; raises as pickle does.
 
-    Processes of this machine are not sent again what the call before shared too.
+    Processes of this machine are not sent objects again that the previous call shared too.
     """
     return Lasting(parts, executor.ticket_of(parts) if isinstance(executor, ProcessPool) else None)
 
 
 @dataclass(frozen=True, slots=True)
 class _Batch:
-    """Items start to stop; how often a worker died with them, or had no way to the shared object."""
+    """Items start to stop; losses with a dead worker, and misses of the shared object."""
 
     start: int
     stop: int
@@ -104,20 +104,20 @@ def run(
     on_result: Callable[[int, Result], None] | None = None,
     is_limited: bool = False,
 ) -> list[Result]:
-    """``work(shared, item)`` of every item, in the order of the items.
+    """Results of ``work(shared, item)``, in the order of the items.
 
-    Items must carry their own seeds; then the results are the same bit for bit whatever the executor,
-    the number of its workers and the batches are: the work sees copies of ``shared`` and of the items
-    that were restored from pickles, in this process too if they can be pickled.
+    If items carry their own seeds, results are bit for bit the same whatever the executor, the number of
+    its workers and the batches: the work sees copies of ``shared`` and of the items restored from pickles,
+    in this process too if they can be pickled.
 
     shared : sent once to each worker.
     executor : ``None`` for this process.
-    batch_size : items sent at a time, by default what takes half a second.
+    batch_size : items sent at a time, by default as many as take half a second.
     on_result : called in this process with index and result as results arrive, in any order.
-    is_limited : whether a time limit ends the work between two items, by ``TimeIsUpError``. An item that is
-    begun is not cut short, and its result is told.
+    is_limited : whether a time limit ends the work between two items, by ``TimeIsUpError``. An item in work
+    is completed, and its result is reported.
 
-    Batches lost with a worker are done again by others. Raises what ``work`` or ``on_result`` raised,
+    Batches lost with a worker are repeated by others. Raises what ``work`` or ``on_result`` raised,
     with the item's index as a note, ``WorkersLostError`` if a batch was lost four times, and
     ``ValueError`` for a batch size below 1 or workers with another version of this package; batches
     not done are then cancelled.
@@ -168,7 +168,7 @@ def _run_here(
 
 
 def _copied(value: T) -> T:
-    """The value as a worker would get it; itself if it could not be sent to one."""
+    """The value as a worker would get it; itself if it cannot be sent."""
     try:
         return cast(T, copied(value))
     except (pickle.PicklingError, AttributeError, TypeError):
@@ -195,7 +195,7 @@ def _run_there(
     pending: dict[Future[Outcome], _Batch] = {}
     with ExitStack() as stack:
         ticket = stack.enter_context(_issued(shared, executor))
-        # A cluster is informed anew who lacks the shared object; any other worker gets it with the batch.
+        # Workers of a cluster that lack the shared object get it again; any others get it with the batch.
         patience = 1 if isinstance(executor, DaskCluster) else 0
         stack.push(_cancel_on_exception(pending))
         while True:
@@ -259,9 +259,9 @@ class _Queue:
         self._suspect: deque[_Batch] = deque()
 
     def take(self, workers: int, out: Collection[_Batch]) -> _Batch | None:
-        """The next batch, unless there is none or it must wait for those that are out.
+        """The next batch, None if there is none or it must wait for those in work.
 
-        Those lost before come last, and after a second loss alone, so that none is blamed for another.
+        Lost batches come last, and alone after a second loss, so that none is blamed for another.
         """
         if self._next < self._n:
             per_worker = math.ceil((self._n - self._next) / (_AHEAD * workers))
@@ -273,13 +273,13 @@ class _Queue:
         return self._suspect.popleft() if self._suspect and not out else None
 
     def done(self, batch: _Batch, seconds: float) -> None:
-        """Learn from a batch how many items make a good one."""
+        """Adapt the batch size to the duration of a batch."""
         n = batch.stop - batch.start
         fitting = _BATCH_SECONDS * n / max(seconds, 1e-9)
         self._size = max(1, int(min(fitting, _GROWTH * n)))
 
     def missed(self, batch: _Batch) -> None:
-        """Take back a batch whose worker had no way to the shared object."""
+        """Take back a batch whose worker could not get the shared object."""
         self._again.append(replace(batch, misses=batch.misses + 1))
 
     def lost(self, batch: _Batch, error: BaseException) -> None:
@@ -295,16 +295,16 @@ class _Queue:
 
 
 def _is_loss(error: BaseException) -> bool:
-    """Whether an error says that a worker died, not that the work failed.
+    """Whether an error means that a worker died, not that the work failed.
 
-    Dask's is recognised by its name: Dask need not be installed.
+    Dask's error is recognised by name: Dask need not be installed.
     """
     names = {kind.__name__ for kind in type(error).__mro__}
     return isinstance(error, (BrokenExecutor, CancelledError)) or "KilledWorker" in names
 
 
 def _usable(executor: Executor, stack: ExitStack) -> Executor:
-    """The executor, or new processes in place of a caller's pool, which is of no use once broken."""
+    """The executor, or new processes in place of a caller's broken pool, which is of no more use."""
     if not isinstance(executor, ProcessPoolExecutor):
         return executor
     opened = stack.enter_context(open_executor(None, workers_of(executor)))
@@ -322,7 +322,7 @@ def _cancel_on_exception(pending: dict[Future[Outcome], _Batch]) -> Callable[...
 
 @contextmanager
 def _issued(shared: Any, executor: Executor) -> Iterator[Ticket]:
-    """A ticket that leads workers to a shared object, as long as it is needed."""
+    """A ticket by which workers find a shared object, as long as it is needed."""
     if isinstance(executor, DaskCluster):
         pickled = executor.pickled(shared)
         digest = digest_of(pickled)

@@ -1,6 +1,6 @@
-"""Checks that relate several values of a plate file, on the raw tables.
+"""Checks of relations between values of a plate file, on the raw tables.
 
-Each check leaves aside what is missing or of the wrong type, which the schema reports, so that one reading
+Each check skips values that are missing or of the wrong type, which the schema reports, so that one reading
 finds every error.
 """
 
@@ -27,21 +27,21 @@ CONSTANT_KEYS: Final = ("E1_GPa", "E2_GPa", "nu12", "G12_GPa", "G13_GPa", "G23_G
 _REQUIRED: Final = CONSTANT_KEYS[:4]
 _ISOTROPIC: Final = ("E1_GPa", "nu12")
 _GRID_POINTS: Final = 7
-# What a material is that names the constants of a composite and no symmetry.
+# The symmetry of a material with the constants of a composite and no stated symmetry.
 _COMPOSITE: Final[MaterialSymmetry] = "transversely_isotropic"
-# What to do about constants that eq. (9) refuses and that other plies have.
+# Advice on constants that violate eq. (9) but suit other plies.
 _OTHER_SYMMETRY: Final = 'fabrics, wood and plywood are symmetry = "orthotropic"'
 # No solid is lighter or heavier, foams and heavy metals included, kg/m3; no fibre is stiffer, GPa.
 _DENSITIES: Final = (5.0, 25_000.0)
 _MAX_MODULUS: Final = 2000.0
-# A pair may be equal, and a third frequency by chance of the rounding; more equal ones are one mode.
+# A pair may be equal, and a third frequency by rounding; more equal ones are one mode.
 _EQUAL_AT_MOST: Final = 3
-# Below this mass a plate's own numbers are wrong, which is said of them, g.
+# Below this mass, g, the plate's own numbers are wrong, and are reported instead.
 _LIGHTEST: Final = 1e-6
-# Part of the stated thickness by which the plies may miss it; they fill it in proportion.
+# Tolerance of the sum of the plies, as a fraction of the stated thickness; they are scaled to fill it.
 _THICKNESS_TOLERANCE: Final = 0.01
 SOURCES: Final = ("frequencies_hz", "table", "recordings", "peaks", "shapes")
-"""Keys of [measurement] of which one says where the frequencies come from."""
+"""Keys of [measurement], exactly one of which gives the source of the frequencies."""
 _BESIDE_PEAKS: Final = {
     "frequency_sd_hz": "beside candidate peaks, which have their own, accepted: relative_std",
     "labels": "beside candidate peaks, accepted: no labels",
@@ -65,14 +65,14 @@ _Check = Callable[[Data], Problems]
 
 
 def relation_problems(data: Data, directory: Path | None, *, sizes_known: bool = True) -> list[Problem]:
-    """Every relation that a file breaks.
+    """All relations that a file violates.
 
-    directory : where its relative paths begin; sizes_known : false where keys of [plate] are guessed, in
-        another unit perhaps
+    directory : base of its relative paths; sizes_known : false where keys of [plate] are guessed, perhaps in
+        another unit
     """
     problems = [problem for check in _CHECKS for problem in check(data)]
     of_sizes = [problem for check in _CHECKS_OF_SIZES for problem in check(data)]
-    # what a wrong size or mass does to the sensors would only be said a second time
+    # at the sensors a wrong size or mass would only be reported a second time
     of_sizes = of_sizes or [problem for check in (_sensors, _heavy_sensors) for problem in check(data)]
     problems += of_sizes if sizes_known else []
     problems += [
@@ -85,7 +85,7 @@ def relation_problems(data: Data, directory: Path | None, *, sizes_known: bool =
 
 
 def _per_material(data: Data) -> Iterator[tuple[str, Data]]:
-    """The file as if each material were its only one, by name; "" and the file where there is but one."""
+    """The file with each material as its only one, by name; "" and the file where there is only one."""
     material = data.get("material")
     if not is_hybrid(material):
         yield "", data
@@ -98,7 +98,7 @@ def _per_material(data: Data) -> Iterator[tuple[str, Data]]:
 
 
 def symmetry_of(material: Data) -> MaterialSymmetry | None:
-    """The symmetry that a table [material] states or, by its constants, implies; None where it does not."""
+    """The symmetry that a table [material] states or, by its constants, implies; None if it does neither."""
     stated, isotropic = material.get("symmetry"), material.get("isotropic")
     if stated is not None:
         return cast(MaterialSymmetry, stated) if stated in tuple(CONSTRAINTS) else None
@@ -129,7 +129,7 @@ def _known_symmetry(data: Data) -> Problems:
 
 
 def _constants_of_symmetry(data: Data) -> Problems:
-    """Problems with the constants that a material of this symmetry has."""
+    """Constants that a material of this symmetry does not have, or lacks."""
     material, unknowns = table(data, "material"), table(data, "unknowns")
     symmetry = symmetry_of(material)
     if symmetry == "isotropic":
@@ -156,7 +156,7 @@ def _constants_of_symmetry(data: Data) -> Problems:
 
 
 def _reference(data: Data) -> tuple[dict[str, float], MaterialSymmetry] | None:
-    """The reference constants as numbers, when all of them are there and positive."""
+    """The reference constants and their symmetry; None unless all are given and the moduli positive."""
     material = table(data, "material")
     symmetry = symmetry_of(material)
     if symmetry is None:
@@ -222,13 +222,13 @@ def _search_bounds(data: Data) -> Problems:
                 f"outside the bounds, received {mean:g}, accepted: {lower:g} to {upper:g}",
             )
         boxes[key] = (lower, upper)
-    # A bound or a reference that is wrong by itself would only be said a second time.
+    # A bound or a reference that is wrong by itself would only be reported a second time.
     if boxes.keys() == {key for key in CONSTANT_KEYS if key in unknowns}:
         yield from _possible_box(data, boxes)
 
 
 def _possible_box(data: Data, boxes: Mapping[str, tuple[float, float]]) -> Problems:
-    """The constraints must leave something of the search box, looked for on a grid."""
+    """Search boxes without any point, on a grid, that meets the constraints."""
     reference = _reference(data)
     if reference is None or not boxes:
         return
@@ -257,7 +257,7 @@ def _possible_box(data: Data, boxes: Mapping[str, tuple[float, float]]) -> Probl
 
 
 def _possible_moduli(data: Data) -> Problems:
-    """Moduli in MPa or Pa."""
+    """Moduli that are too large for GPa, most likely in MPa or Pa."""
     material, unknowns = table(data, "material"), table(data, "unknowns")
     moduli = [name for name in USER_UNITS if name.endswith("_GPa")]
     given: list[tuple[str, str, float | None]] = [("material", key, number(material, key)) for key in moduli]
@@ -305,7 +305,7 @@ def _spreads(data: Data, name: str) -> Problems:
 
 
 def _one_density(data: Data) -> Problems:
-    """The density of the plate, of its materials, or its mass, and a density of one material alone."""
+    """Densities that are missing, incomplete, or given twice."""
     plate, hybrid = table(data, "plate"), is_hybrid(data.get("material"))
     if not isinstance(data.get("plate"), dict):
         return
@@ -334,7 +334,7 @@ def _one_density(data: Data) -> Problems:
 
 
 def _density(data: Data, owner: str) -> Problems:
-    """Densities of another unit."""
+    """Densities that no solid has, most likely in another unit."""
     low, high = _DENSITIES
     density = number(table(data, owner), "density_kg_m3")
     if density is not None and density > 0.0 and not low <= density <= high:
@@ -346,7 +346,7 @@ def _density(data: Data, owner: str) -> Problems:
 
 
 def _possible_mass(data: Data) -> Problems:
-    """Masses and sizes that make a density of another unit."""
+    """Masses and sizes that give a density no solid has, most likely in another unit."""
     plate = table(data, "plate")
     low, high = _DENSITIES
     mass = number(plate, "mass_g")
@@ -400,7 +400,7 @@ def _mesh(data: Data, directory: Path | None) -> Problems:
 
 
 def ply_kinds(data: Data) -> dict[str, PlyKind] | None:
-    """The plies of the tables [[ply]] by their names, None where they are not all as they must be."""
+    """The plies of the tables [[ply]] by name, None where any of them is invalid."""
     kinds: dict[str, PlyKind] = {}
     densities = {name: number(table(part, "material"), "density_kg_m3") for name, part in _per_material(data)}
     for ply in _ply_tables(data):
@@ -421,7 +421,7 @@ def _ply_tables(data: Data) -> list[Data]:
 
 
 def _known_plies(data: Data) -> Problems:
-    """Names that occur twice, and plies of materials that there are not."""
+    """Duplicate names of plies, and plies of unknown materials."""
     plies, hybrid = _ply_tables(data), is_hybrid(data.get("material"))
     names = [ply.get("name") for ply in plies]
     materials = list(table(data, "material")) if hybrid else []
@@ -441,7 +441,7 @@ def _known_plies(data: Data) -> Problems:
 
 
 def _materials_of_plies(data: Data) -> Problems:
-    """Several materials without plies, materials and unknowns that the layup does not have."""
+    """Several materials without plies, and materials and unknowns that are not in the layup."""
     material, unknowns = data.get("material"), table(data, "unknowns")
     if not is_hybrid(material):
         if is_hybrid(data.get("unknowns")):
@@ -476,7 +476,7 @@ def _materials_of_plies(data: Data) -> Problems:
 
 
 def _stated_thickness(data: Data) -> Problems:
-    """Plies that do not make the thickness of the plate."""
+    """Plies that do not add up to the thickness of the plate."""
     stated = number(table(data, "plate"), "thickness_mm")
     made = 1e3 * sum(kind.thickness for kind in _plies_of_layup(data))
     if stated is None or not made or abs(made / stated - 1.0) <= _THICKNESS_TOLERANCE:
@@ -489,7 +489,7 @@ def _stated_thickness(data: Data) -> Problems:
 
 
 def _plies_of_layup(data: Data) -> tuple[PlyKind, ...]:
-    """The plies of the layup, none where it cannot be read or has no named plies."""
+    """The plies of the layup, empty where it cannot be read or has no named plies."""
     kinds, text = ply_kinds(data), table(data, "plate").get("layup")
     if not kinds or not isinstance(text, str):
         return ()
@@ -556,7 +556,7 @@ def _sensors(data: Data) -> Problems:
 
 
 def _heavy_sensors(data: Data) -> Problems:
-    """Known masses that together are heavier than the plate: in another unit, or no plate test."""
+    """Sensor masses that together exceed the plate's: in another unit, or not a plate test."""
     plate, sensors = table(data, "plate"), data.get("sensor")
     if not isinstance(sensors, list):
         return
@@ -572,7 +572,7 @@ def _heavy_sensors(data: Data) -> Problems:
 
 
 def _mass(plate: Data) -> float | None:
-    """The mass of a plate, of one with a mesh at most, g."""
+    """The mass of a plate, g; an upper limit for one with a mesh."""
     mass, density = number(plate, "mass_g"), number(plate, "density_kg_m3")
     sizes = [number(plate, key) for key in ("length_mm", "width_mm", "thickness_mm")]
     known = [size for size in sizes if size is not None and size > 0.0]
@@ -585,7 +585,7 @@ def _mass(plate: Data) -> float | None:
 
 
 def _one_list(data: Data) -> Problems:
-    """Frequencies from one place, and what belongs to a list alone not beside a file."""
+    """Frequencies from no source or several, and keys that do not go with their source."""
     measurement = table(data, "measurement")
     if "measurement" not in data or not isinstance(data["measurement"], dict):
         return
@@ -622,12 +622,12 @@ def _frequencies(data: Data) -> Problems:
 
 
 def _below(known: list[tuple[int, float]], i: int) -> float:
-    """The frequency before the one before number i, or zero."""
+    """The frequency two places before number i, or zero."""
     return known[i - 2][1] if i > 1 else 0.0
 
 
 def _order(frequencies: list[float | None]) -> Problems:
-    """One problem of a list that is not ascending, or has one frequency again and again."""
+    """The problem with a list that is not ascending, or repeats one frequency."""
     known = [(i, value) for i, value in enumerate(frequencies) if value is not None]
     down = [(i, a, b) for (_, a), (i, b) in itertools.pairwise(known) if b < a]
     if down:
@@ -636,7 +636,7 @@ def _order(frequencies: list[float | None]) -> Problems:
         whole = len(down) == len(frequencies) - 1 and len(down) > 1
         rest = [value for j, value in known if j not in {at for at, _, _ in down}]
         cure = "; write the list the other way round" if whole else ""
-        # 80,2, 146,3 is four numbers: what falls is the part after the comma, below the first frequency
+        # 80,2, 146,3 is four numbers: the parts after the commas descend, below the first frequency
         if all(b < rest[0] and b == int(b) for _, _, b in down) and rest == sorted(rest) and not whole:
             pair = f"{before:g},{after:g}"
             cure = f"; are these decimal commas? {pair} is two numbers, write {pair.replace(',', '.')}"

@@ -1,6 +1,6 @@
-"""Edges of a plate: one table of what each condition is called, what it holds, and how it is drawn.
+"""Edge conditions: one table of their names, the fields they hold at zero, and how they are drawn.
 
-A new condition is one row of the table, and a figure of its own only where no mark that there is suits it.
+A new condition is one row of the table, with a new mark only where no existing one suits it.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ PLACES: Final = ("x = 0", "y = 0", "x = length", "y = width")
 
 @dataclass(frozen=True, slots=True)
 class EdgeCondition:
-    """How one edge is held.
+    """The support of one edge.
 
     name : in words; "" for one that no plate file states
     held_x, held_y : fields at zero on an edge x = constant, and on an edge y = constant
-    sprung : fields on springs, which a term of an effect brings
-    is_clamp : built in, or a clamp that gives way
+    sprung : fields on springs, supplied by a term of an effect
+    is_clamp : a rigid or an elastic clamp
     mark : how a drawing shows it
-    caption : what a caption says of that mark
-    brick_widths : of the elements at the edge, in thicknesses, from the edge inwards. Clamped bricks are
-        0.3 to 0.4 % too stiff with elements of 7 thicknesses there, and within 0.01 % of their limit so
+    caption : explanation of that mark
+    brick_widths : of the elements at the edge, in thicknesses, from the edge inwards. Clamped bricks are 0.3
+        to 0.4 % too stiff with elements of 7 thicknesses there, and within 0.01 % of their limit with these
     """
 
     name: str
@@ -42,7 +42,7 @@ class EdgeCondition:
     brick_widths: tuple[float, ...] = ()
 
     def held(self, edge: str) -> tuple[Field, ...]:
-        """Fields at zero on an edge of a name in `EDGES`, or of an axis."""
+        """Fields at zero on an edge, named as in `EDGES` or by its axis."""
         return self.held_x if edge[0] == "x" else self.held_y
 
     @property
@@ -77,9 +77,9 @@ CONDITIONS: Final[Mapping[str, EdgeCondition]] = MappingProxyType(
             caption="hatched edges are clamped",
             brick_widths=(0.5, 1.0),
         ),
-        # A simple support that gives way across the plate.
+        # A simple support on springs in the transverse direction.
         "W": EdgeCondition("", ("v", "phi_y"), ("u", "phi_x"), ("w",)),
-        # Clamps that give way: in rotation, in translation, in everything.
+        # Elastic clamps: in rotation, in translation, in both.
         "R": EdgeCondition("", ("u", "v", "w"), ("u", "v", "w"), ("phi_x", "phi_y"), is_clamp=True),
         "T": EdgeCondition("", ("phi_x", "phi_y"), ("phi_x", "phi_y"), ("u", "v", "w"), is_clamp=True),
         "E": EdgeCondition("", (), (), FIELDS, is_clamp=True),
@@ -100,7 +100,7 @@ def conditions(edges: str) -> tuple[EdgeCondition, EdgeCondition, EdgeCondition,
 
 
 def is_stated(edges: str) -> bool:
-    """Whether a text is what a plate file may state: four letters of `STATED`."""
+    """Whether a plate file may state this text: four letters of `STATED`."""
     return len(edges) == len(EDGES) and set(edges) <= set(STATED)
 
 
@@ -115,9 +115,9 @@ _WORDS: Final[Mapping[str, str]] = {
 
 
 def letters_of(said: Any) -> Any:
-    """The letters of edges in words, in small letters, apart or in a list; all else as it is.
+    """Edge letters from words, from lower-case or separated letters, or from a list; anything else unchanged.
 
-    One word is of all four edges.
+    A single word applies to all four edges.
     """
     if isinstance(said, str):
         text = re.sub(r"^all (edges )?", "", said.casefold().strip(" "))

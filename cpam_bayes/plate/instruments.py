@@ -1,6 +1,6 @@
-"""Files of instruments and spreadsheets: .csv of any separator, .xlsx, universal files with mode shapes.
+"""Instrument and spreadsheet files: .csv with any separator, .xlsx, universal files with mode shapes.
 
-pyuff reads datasets 55, 15 or 2411, and 164; whatever unit and origin a file has, shapes are placed in metres
+pyuff reads datasets 55, 15 or 2411, and 164; whatever a file's unit and origin, shapes are placed in metres
 from the corner x = y = 0.
 """
 
@@ -28,13 +28,13 @@ from cpam_bayes.plate.schema import MAX_FREQUENCIES
 from cpam_bayes.plate.text import Data, Problem, as_utf_8, number, read_named_file, table
 
 _SEPARATORS: Final = ("\t", ";", ",", "|", "  ", " ")
-# Two spaces or more: the heads of columns then may have one.
+# Two spaces or more: the headings of columns may then contain single spaces.
 _WIDE, _SPACES = re.compile(" {2,}"), ("  ", " ")
 _DECLARED: Final = "sep="
 _COMMENTS: Final = ("#", "%")
-# Spaces that do not break a line.
+# Non-breaking spaces.
 _WIDTHS: Final = re.compile("[\N{NO-BREAK SPACE}\N{THIN SPACE}\N{NARROW NO-BREAK SPACE}]")
-# Heads stand in one of the first lines, and these are no longer than this.
+# Headings are in one of the first lines, and no longer than this.
 _LINES_ABOVE, _LONGEST_HEADS = 1000, 100_000
 
 
@@ -48,7 +48,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Delimited:
-    """A table: its heads, in the line ``line``, and the rows below; separator : between the cells."""
+    """A table: its headings, on line ``line``, and the rows below; separator : between the cells."""
 
     line: int
     heads: tuple[str, ...]
@@ -60,18 +60,18 @@ class SheetError(ValueError):
     """A workbook that cannot be read."""
 
 
-# Rows and columns of a sheet that are read; more is no list of modes.
+# Most rows and columns of a sheet that are read; more is no list of modes.
 _MOST_ROWS: Final = 10_000
 _MOST_COLUMNS: Final = 500
-# Bytes of an unpacked workbook: a small one may be made to fill the memory.
+# Most bytes of an unpacked workbook: a small file can be built to fill the memory.
 _MOST_UNPACKED: Final = 50_000_000
 _ZIP, _OLD_EXCEL = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
 
 
 def sheets(content: bytes) -> Mapping[str, str]:
-    """The texts of the tables of a file: one of .csv, by "", one a sheet of .xlsx, by its name.
+    """Texts of a file's tables: of a .csv under "", of an .xlsx by the names of its sheets.
 
-    The sheet that was shown when it was saved comes first.
+    The sheet that was active when the file was saved comes first.
 
     raises SheetError for a workbook that cannot be read
     """
@@ -100,7 +100,7 @@ def sheets(content: bytes) -> Mapping[str, str]:
 
 
 def _cell(cell: Any) -> str:
-    """The text of a cell of a sheet; numbers without the rounding of a computed one, in per cent if so."""
+    """The text of a cell of a sheet; numbers to 12 digits, in per cent where so formatted."""
     value = cell.value
     if isinstance(value, int | float) and "%" in cell.number_format:
         return f"{100.0 * value:.12g}%"
@@ -122,17 +122,17 @@ def decode(content: bytes) -> str:
 
 
 def read_delimited(text: str, is_header: Callable[[Sequence[str]], bool]) -> Delimited | None:
-    """The table of a text from its first line of heads on; None where the first 1000 lines have none."""
+    """The table below the first line of headings of a text; None where the first 1000 lines have none."""
     return next(delimited(text, is_header), None)
 
 
 def delimited(text: str, is_header: Callable[[Sequence[str]], bool]) -> Iterator[Delimited]:
-    """The tables that begin with each line of heads among the first 1000 of a text.
+    """Candidate tables, one for each line of headings among the first 1000 lines of a text.
 
-    Empty lines, lines of dashes and comments (# or %) are passed over, and a line "sep=;" says the
-    separator. A line with any other separator is not split at spaces.
+    Empty lines, lines of dashes and comments (# or %) are skipped, and a line "sep=;" sets the separator.
+    A line with any other separator is not split at spaces.
 
-    is_header : whether cells are the heads of the table that is looked for
+    is_header : whether cells are the headings of the table sought
     """
     lines = text.splitlines()
     separators: tuple[str, ...] = _SEPARATORS
@@ -146,7 +146,7 @@ def delimited(text: str, is_header: Callable[[Sequence[str]], bool]) -> Iterator
             if separator in _SPACES and any(other in line for other in _SEPARATORS if other not in _SPACES):
                 continue
             heads = _cells(line, separator)
-            # words of one head may stand apart by as many spaces as heads do
+            # words of one heading may be as many spaces apart as headings are
             below = next(_rows(lines, i + 1, separator, 0), None) if separator == " " else None
             if is_header(heads) and (below is None or len(below.cells) == len(heads)):
                 rows = tuple(_rows(lines, i + 1, separator, len(heads)))
@@ -183,15 +183,15 @@ def _cells(line: str, separator: str) -> list[str]:
 
 Array = NDArray[Any]
 
-# Datasets of nodes with their places, of a shape, and of units.
+# Datasets of node coordinates, of a shape, and of units.
 _NODES, _SHAPE, _UNITS = (15, 2411), 55, 164
-# Analyses of a dataset 55 that are modes: normal ones, complex ones of displacement and of velocity.
+# Analysis types of a dataset 55 that are modes: normal, complex of displacement, complex of velocity.
 _NORMAL, _COMPLEX = 2, (3, 7)
-# What stands before and after each dataset, and how many datasets a file may have.
+# The delimiter of datasets, and the most datasets that a file may have.
 _MARK: Final = b"    -1"
 _MARK_LINE: Final = re.compile(rb"^ {4}-1[ \t]*\r?$", re.MULTILINE)
 _MOST_SETS: Final = 10_000
-# Numbers of nodes have ten columns. What is beyond the size leaves the range of squares and their sums.
+# Node numbers have ten columns. Squares of values beyond the size, or their sums, may overflow.
 _MOST_NODE: Final = 10**10
 _MOST_SIZE: Final = 1e100
 # Units of length from a thousandth of a nanometre to a terametre.
@@ -235,7 +235,7 @@ class UniversalModes:
 
 
 def pyuff() -> ModuleType:
-    """The library; raises ``UniversalFileError`` where it is not installed."""
+    """The library pyuff; raises ``UniversalFileError`` where it is not installed."""
     with warnings.catch_warnings():  # it changes the filters of its importer
         try:
             import pyuff as library
@@ -245,7 +245,7 @@ def pyuff() -> ModuleType:
 
 
 def read_sets(content: bytes, types: Sequence[int]) -> list[Mapping[str, Any]]:
-    """The datasets of some types of a universal file; others need not be readable.
+    """The datasets of the given types in a universal file; others need not be readable.
 
     Raises ``UniversalFileError`` where pyuff is missing or cannot read one of them.
     """
@@ -276,7 +276,7 @@ def read_sets(content: bytes, types: Sequence[int]) -> list[Mapping[str, Any]]:
 
 
 def _require_whole(content: bytes) -> None:
-    """Raise ``UniversalFileError`` where the last dataset has no end, which pyuff passes over."""
+    """Raise ``UniversalFileError`` where the last dataset is unterminated, which pyuff ignores."""
     marks = list(_MARK_LINE.finditer(content))
     if len(marks) % 2 and content[marks[-1].end() :].strip():
         line = content.count(b"\n", 0, marks[-1].start()) + 1
@@ -320,7 +320,7 @@ def universal_modes(content: bytes) -> UniversalModes:
 
 
 def _mode(one: Mapping[str, Any]) -> UniversalMode | None:
-    """The mode of a dataset 55, None of one that is no mode: a forced response, or a rigid-body motion."""
+    """The mode of a dataset 55, None if it is no mode: a forced response, or a rigid-body motion."""
     kind = one.get("analysis_type")
     if kind == _NORMAL:
         frequency, damping = float(one["freq"]), _damping_of(one)
@@ -337,7 +337,7 @@ def _mode(one: Mapping[str, Any]) -> UniversalMode | None:
 
 
 def _of_nodes(one: Mapping[str, Any], names: Sequence[str]) -> tuple[Array, Array]:
-    """The nodes (n,) of a dataset and what it has for each, (len(names), n)."""
+    """The node numbers (n,) of a dataset and its values at them, (len(names), n)."""
     of = f"a dataset {one['type']}"
     numbers, columns = np.asarray(one["node_nums"], dtype=float), [np.asarray(one[name]) for name in names]
     if any(column.shape != numbers.shape for column in columns):
@@ -359,13 +359,13 @@ def _damping_of(one: Mapping[str, Any]) -> float:
 
 # Units that a file without dataset 164 may have, m; the largest that fits the plate is taken.
 _POSSIBLE_UNITS: Final = (1.0, 1e-3)
-# How far beyond an edge a node may lie, and how much of the plate nodes must span, fractions of a side.
+# Most that a node may lie beyond an edge, and least span of the nodes, as fractions of a side.
 _BEYOND, _LEAST_SPAN = 0.02, 0.1
 _MIN_NODES: Final = 3
 
 
 def placed_shapes(modes: UniversalModes, length: float, width: float) -> tuple[MeasuredShapes, str]:
-    """The shapes at the nodes that all modes have, on a plate of length by width, m; and how, in words.
+    """Shapes at the nodes common to all modes, on a plate of length by width, m; and the placement in words.
 
     The unit is that of dataset 164, or else the larger one of m and mm with which the nodes lie on the
     plate. The origin is the corner x = y = 0, or the middle of the plate. Raises ``UniversalFileError``
@@ -434,7 +434,7 @@ def _unit_name(unit: float) -> str:
 
 _KEY: Final = ("measurement", "shapes")
 MAX_UNIVERSAL_BYTES: Final = 20_000_000
-"""A file of 100 modes at 3000 nodes has as much; it is read in some seconds."""
+"""The size of a file of 100 modes at 3000 nodes, which is read in some seconds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -463,9 +463,9 @@ class ShapeModes:
 
 
 def shapes_of(data: Data, directory: Path | None) -> tuple[ShapeModes | None, list[Problem]]:
-    """The modes of the universal file that a plate file names, and what is wrong with it.
+    """The modes of the universal file that a plate file names, and its problems.
 
-    directory : where relative paths begin
+    directory : base of relative paths
     """
     name = table(data, "measurement").get("shapes")
     if not isinstance(name, str) or not name:

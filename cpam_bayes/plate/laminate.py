@@ -1,16 +1,16 @@
 """Laminates: the symmetric 8 x 8 stiffness [A B; B D; A_s] from ply constants and ply angles.
 
 Generalised strains are ordered ``(eps_x, eps_y, gamma_xy, kappa_x, kappa_y, kappa_xy, gamma_yz, gamma_xz)``.
-Plies may be of several materials. What is linear in the invariants of a ply then stands material after
-material on its last axis: 5 invariants each, 5 integrals of angle functions each. Every function is
-vectorised over leading axes and accepts complex input, so that derivatives can be taken by a complex step.
+Plies may be of several materials. Invariants and integrals of angle functions are then concatenated by
+material on the last axis, 5 each per material. Every function is vectorised over leading axes and accepts
+complex input, so that derivatives can be taken by a complex step.
 
-The symmetry of a ply says which constants it has and what they must satisfy:
+The symmetry of a ply determines which constants it has and what they must satisfy:
 
-* isotropic: E1 and nu12 are all constants, eq. (11), and -1 < nu12 < 1/2;
-* transversely isotropic about the fibres, as the paper's composites: G23 follows from eq. (6), and the
+* isotropic: E1 and nu12 are the only constants, eq. (11), and -1 < nu12 < 1/2;
+* transversely isotropic about the fibres, like the paper's composites: G23 follows from eq. (6), and the
   constants satisfy eq. (9);
-* orthotropic, as fabrics, wood and plywood: all are free, and the stiffness in plane stress is positive
+* orthotropic, like fabrics, wood and plywood: all are free, and the stiffness in plane stress is positive
   definite (Jones, Mechanics of Composite Materials, section 2.4).
 """
 
@@ -39,7 +39,7 @@ _GAUSS_Z, _GAUSS_W = np.polynomial.legendre.leggauss(3)
 
 @dataclass(frozen=True, slots=True)
 class ShearModel:
-    """How the transverse shear stiffness A_s follows from the plies.
+    """The model of the transverse shear stiffness A_s of a stack of plies.
 
     ``factor is None`` : energy-consistent, from the equilibrium shear stresses of the layup
     (Rohwer, 1988; Whitney, 1973). Otherwise A_s is ``factor`` times the integral of the ply
@@ -55,12 +55,12 @@ FIVE_SIXTHS = ShearModel(5.0 / 6.0)
 
 @dataclass(frozen=True, eq=False)
 class PlyStack:
-    """Where plies lie and what they are made of, whatever their angles are.
+    """Positions and materials of plies, without their angles.
 
     interfaces : (n_plies + 1,) z / h, from -1/2 to 1/2.
-    material : (n_plies,) positions in ``names``.
-    density : (n_plies,) over the mean of the plate.
-    names : of the materials; constants of a material "c" are called "c.E1", of "" just "E1".
+    material : (n_plies,) indices into ``names``.
+    density : (n_plies,) relative to the mean of the plate.
+    names : of the materials; constants of a material "c" are called "c.E1", those of "" just "E1".
     """
 
     interfaces: Array
@@ -76,15 +76,15 @@ class PlyStack:
 
     @cached_property
     def mass_moments(self) -> tuple[float, float]:
-        """Integrals of density times z and times 12 z^2 over the thickness, of unit thickness and density.
+        """Integrals of density times z and times 12 z^2 over the thickness, for unit thickness and density.
 
-        They are 0 and 1 of a plate of one density.
+        They are 0 and 1 for a plate of uniform density.
         """
         first, second = (float(np.diff(self.interfaces**k) @ self.density) / k for k in (2, 3))
         return first, 12.0 * second
 
     def reordered(self, order: Sequence[int]) -> PlyStack:
-        """The plies of these positions, bottom to top, filling the thickness; the mean density stays."""
+        """The plies at these positions, bottom to top, filling the thickness at the same mean density."""
         at = list(order)
         thickness = np.diff(self.interfaces)[at] / np.diff(self.interfaces)[at].sum()
         density = self.density[at] / (self.density[at] @ thickness)
@@ -93,12 +93,12 @@ class PlyStack:
 
 
 def equal_plies(n: int) -> PlyStack:
-    """Plies of one thickness and one material."""
+    """The stack of n plies of equal thickness and one material."""
     return PlyStack(np.arange(n + 1) / n - 0.5, np.zeros(n, dtype=np.intp), np.ones(n))
 
 
 def constants_of(constants: Mapping[str, Value], material: str) -> Mapping[str, Value]:
-    """The constants of one material of a hybrid by their plain names; material "" : as they are."""
+    """The constants of one material of a hybrid by their plain names; of material "" unchanged."""
     if not material:
         return constants
     start = f"{material}."
@@ -147,7 +147,7 @@ def rotated_stiffness(invariants: Array, weights: Array) -> Array:
     functions of one ply it is the ply's own Qbar, with their integral over z, z or z^2 it is A,
     B or D.
 
-    invariants (..., 5), weights (..., 5) -> (..., 6); (..., 5 n) each of n materials, whose sum it is.
+    invariants (..., 5), weights (..., 5) -> (..., 6); for n materials (..., 5 n) each, summed over them.
     """
     if weights.shape[-1] > _INVARIANTS:
         groups = (slice(i, i + _INVARIANTS) for i in range(0, weights.shape[-1], _INVARIANTS))
@@ -161,7 +161,7 @@ def rotated_stiffness(invariants: Array, weights: Array) -> Array:
 
 
 def _on_last_axis(*entries: Array) -> Array:
-    """Arrays that broadcast, one after the other on a new last axis; faster than ``np.stack``."""
+    """Arrays, broadcast and stacked on a new last axis; faster than ``np.stack``."""
     shape = np.broadcast_shapes(*(e.shape for e in entries))
     stacked = np.empty((*shape, len(entries)), dtype=np.result_type(*entries))
     for i, entry in enumerate(entries):
@@ -170,27 +170,27 @@ def _on_last_axis(*entries: Array) -> Array:
 
 
 def _side_by_side(arrays: list[Array]) -> Array:
-    """Arrays (..., k) whose leading axes broadcast, one after the other on the last axis."""
+    """Arrays (..., k) concatenated on the last axis, their leading axes broadcast."""
     if len(arrays) == 1:
         return arrays[0]
     shape = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
     return np.concatenate([np.broadcast_to(a, (*shape, a.shape[-1])) for a in arrays], axis=-1)
 
 
-# Where each entry of a symmetric matrix stands among (X11, X12, X22, X66, X16, X26).
+# Position of each entry of a symmetric matrix in (X11, X12, X22, X66, X16, X26).
 _ENTRIES_3 = np.array([[0, 1, 4], [1, 2, 5], [4, 5, 3]])
-# The same among (X11, X22, X12), and of the adjugate among (X22, X11, -X12, -X21).
+# The same in (X11, X22, X12), and for the adjugate in (X22, X11, -X12, -X21).
 _ENTRIES_2, _ADJUGATE_2 = np.array([[0, 2], [2, 1]]), np.array([[0, 2], [3, 1]])
 
 
 def _merge_equal_plies(angles_deg: Array, plies: PlyStack) -> tuple[Array, Array, Array]:
-    """Neighbouring plies of one angle and material as one: angles and materials (m,), interfaces (m + 1,)."""
+    """Neighbouring plies of equal angle and material merged: angles, materials (m,), interfaces (m + 1,)."""
     starts = run_starts(angles_deg, plies)
     return angles_deg[starts], plies.material[starts], plies.interfaces[np.append(starts, angles_deg.size)]
 
 
 def run_starts(angles_deg: Array, plies: PlyStack) -> Array:
-    """The first ply of each run of neighbours of one angle and one material, (m,)."""
+    """Index (m,) of the first ply of each run of neighbours of equal angle and material."""
     change = (np.diff(angles_deg) != 0.0) | (np.diff(plies.material) != 0)
     return np.concatenate(([0], np.flatnonzero(change) + 1))
 
@@ -200,10 +200,10 @@ class LaminateGeometry:
     """The part of a layup that does not depend on the elastic constants, for unit thickness.
 
     in_plane, coupling, flexural : (..., 5), lamination parameters: integrals of the angle functions times
-    1, z and z^2; of n materials (..., 5 n), each integrated over its own plies.
-    gauss : (..., n_points, 5) or (..., n_points, 5 n) their running integrals from the bottom times z
-    (``first``) and times 1 (``zeroth``, ``None`` where the laminate is symmetric); ``ply`` (..., n_points, 5)
-    the angle functions at the points, ``material`` (n_points,) whose they are and ``weight`` (n_points,).
+    1, z and z^2; for n materials (..., 5 n), each integrated over its own plies.
+    first, zeroth : (..., n_points, 5 n) at Gauss points, their running integrals from the bottom times z and
+    times 1; ``zeroth`` is ``None`` where the laminate is symmetric.
+    ply, material, weight : of the points, angle functions (..., n_points, 5), materials, weights (n_points,).
     names : of the materials, as in ``PlyStack``.
     """
 
@@ -219,7 +219,7 @@ class LaminateGeometry:
     names: tuple[str, ...] = ("",)
 
     def at_points(self, values: Array) -> Array:
-        """A number for each material, (..., n_materials), at the points, (..., n_points), or one for all."""
+        """Values by material, (..., n_materials), at the points, (..., n_points); as they are for one."""
         return values if len(self.names) == 1 else np.asarray(values[..., self.material])
 
     @property
@@ -229,7 +229,7 @@ class LaminateGeometry:
 
     @cached_property
     def closed_form(self) -> ClosedForm:
-        """The stiffness of one layup over the constants of its plies."""
+        """The stiffness of one layup as a function of the constants of its plies."""
         n = len(self.names)
         units = np.zeros((4 * n, _INVARIANTS * n))
         for k in range(n):
@@ -243,8 +243,8 @@ class LaminateGeometry:
     def _shear_energy(self, rows: Array) -> Array:
         """Shear energy as quadratic forms, (2 n_materials, 3, k, k); see ``ClosedForm``.
 
-        rows : (3, n_points, 4 n_materials, r), rows x, y and xy of the running stiffness that each reduced
-            stiffness times an entry of a compliance gives.
+        rows : (3, n_points, 4 n_materials, r), rows x, y and xy of the running stiffness per reduced
+            stiffness and entry of a compliance.
         """
         n_points, stress = rows.shape[1], {}
         for column, (yz, xz) in enumerate(((2, 0), (1, 2))):  # of Qx, of Qy
@@ -270,13 +270,13 @@ class LaminateGeometry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosedForm:
-    """Stiffness of one layup of unit thickness over the reduced stiffnesses q of its materials.
+    """Stiffness of one layup of unit thickness as a function of the reduced stiffnesses q of its materials.
 
     [A B; B D] is linear in q. The shear stresses are linear in the products of q with the compliances c of
     bending along x and along y, so that the entries (yy, xx, xy) of the shear compliance are the sum
     over s_k of s_k X^T T_k X with s = (1/G23, 1/G13) and X_ab = q_a c_b.
 
-    linear : (4 n_materials, 64) entries of the 8 x 8 stiffness that each of q gives.
+    linear : (4 n_materials, 64) entries of the 8 x 8 stiffness per entry of q.
     energy : (2 n_materials, 3, k, k), the T_k, symmetric; k is 24 n_materials, 48 where A and D couple.
     """
 
@@ -285,7 +285,7 @@ class ClosedForm:
 
     @property
     def _coupled(self) -> slice:
-        """The strains that the compliance is of: curvatures, with the membrane strains where they couple."""
+        """The strains of the compliance: curvatures, with the membrane strains where they couple."""
         r = self.energy.shape[-1] // (2 * len(self.linear))
         return slice(6 - r, 6)
 
@@ -310,9 +310,9 @@ class ClosedForm:
         return x, (x @ self.energy.reshape(-1, k).T).reshape(*x.shape[:-1], *self.energy.shape[:-1])
 
     def first_order(self, q: Array, s: Array) -> Array:
-        """The same at complex steps q (..., n, 4 n_materials) and s (..., n, 2 n_materials), to first order.
+        """``values`` at complex steps q (..., n, 4 n_materials), s (..., n, 2 n_materials), to first order.
 
-        The n sets of a row have their real parts in common. With H = Y^-1 the shear compliance and X that of
+        The n sets of a row share their real parts. With H = Y^-1 the shear compliance and X that of
         bending, dY = -Y dH Y and dc = -X (d[A B; B D]) X.
         """
         q0, s0 = q.real[..., 0, :], s.real[..., 0, :]
@@ -324,7 +324,7 @@ class ClosedForm:
         by_s = np.sum(images * x[..., None, None, :], axis=-1)
         shear = _inverse2((s0[..., None, :] @ by_s)[..., 0, _ENTRIES_2])
         columns = np.swapaxes(compliance[..., :, -3:-1], -1, -2)
-        # by X, (..., 3, 4 n_materials, 2 r), then by q at fixed c and by c at fixed q
+        # derivatives by X, (..., 3, 4 n_materials, 2 r), then by q at fixed c and by c at fixed q
         k = x.shape[-1]
         by_x = 2.0 * (s0[..., None, :] @ images.reshape(*images.shape[:-3], -1, 3 * k))
         by_x = by_x.reshape(*x.shape[:-1], 3, len(self.linear), 2 * r)
@@ -371,9 +371,9 @@ def laminate_geometry(
 ) -> LaminateGeometry:
     """Lamination parameters and running integrals of a layup.
 
-    angles_deg : (n_plies,) bottom to top, or (..., n_plies) for a stack of layups. ``symmetric``
-    states that all of them are symmetric about the midplane; left out, it is read off the angles.
-    ``plies`` : equal ones where left out.
+    angles_deg : (n_plies,) bottom to top, or (..., n_plies) for a stack of layups.
+    symmetric : whether all of them are symmetric about the midplane; by default determined from the angles.
+    plies : by default equal ones.
     """
     angles = np.asarray(angles_deg)
     plies = plies or equal_plies(angles.shape[-1])
@@ -420,7 +420,7 @@ def laminate_geometry(
 
 
 def _apart(functions: Array, material: Array, n: int) -> Array:
-    """Angle functions of plies (..., n_plies, 5) with zeros for the plies of other materials, (..., 5 n)."""
+    """Angle functions (..., n_plies, 5) by material, zero for the plies of other materials, (..., 5 n)."""
     if n == 1:
         return functions
     return np.concatenate([functions * (material == k)[:, None] for k in range(n)], axis=-1)
@@ -432,7 +432,6 @@ def _shear_compliance(
     """Energy-consistent transverse shear compliance of unit thickness, (..., 2, 2), order (yz, xz).
 
     g13, g23 : (..., n_materials), Pa.
-
 
     Equilibrium gives tau_xz = -F11 Qx - F32 Qy and tau_yz = -F31 Qx - F22 Qy with
     F(z) = int_{-h/2}^{z} Qbar (b + zeta d) dzeta, [a b; b^T d] the inverse of [A B; B D], once two
@@ -538,7 +537,7 @@ def first_order_stiffness(
 ) -> Array:
     """``laminate_stiffness`` at n complex steps (..., n) from one set of constants, to first order.
 
-    Of one layup in closed form, with the real part that the steps have in common computed once.
+    For one layup in closed form, with the common real part of the steps computed once.
     """
     geometry = layup if isinstance(layup, LaminateGeometry) else laminate_geometry(layup)
     plies = [constants_of(constants, name) for name in geometry.names]
@@ -557,12 +556,12 @@ def _shear_compliances(plies: list[Mapping[str, ArrayLike]]) -> Array:
 
 
 def thickness_powers(thickness: ArrayLike) -> Array:
-    """Power of h that each entry of the 8 x 8 stiffness of a similar laminate carries, (..., 8, 8)."""
+    """Powers of h that scale the entries of the 8 x 8 stiffness of unit thickness, (..., 8, 8)."""
     h = np.asarray(thickness)
     return np.asarray(_on_last_axis(h, h * h, h * h * h)[..., _THICKNESS_POWERS])
 
 
-# Of h that the entries carry, less one: 0 of A and A_s, 1 of B, 2 of D.
+# Exponents of h less one: 0 for A and A_s, 1 for B, 2 for D.
 _OF_STRAIN = np.isin(np.arange(N_STRAINS), (3, 4, 5)).astype(int)
 _THICKNESS_POWERS = _OF_STRAIN[:, None] + _OF_STRAIN
 
@@ -623,7 +622,7 @@ def complete_constants(constants: Mapping[str, ArrayLike], symmetry: MaterialSym
 
     constants : E1, E2, nu12, G12 and optionally G13, G23, or E1 and nu12 alone when isotropic;
         each (...), Pa or dimensionless, real or complex
-    returns E1 E2 nu12 G12 G13 G23: where they are left out, G13 = G12, and G23 by eq. (6) or, of an
+    returns E1 E2 nu12 G12 G13 G23: where they are left out, G13 = G12, and G23 by eq. (6) or, for an
         orthotropic ply, G23 = G12; isotropic: E2 = E1 and each shear modulus E1 / (2 (1 + nu12))
     raises ValueError for a missing or an unknown constant
     """
@@ -650,13 +649,13 @@ def complete_constants(constants: Mapping[str, ArrayLike], symmetry: MaterialSym
 
 
 def constraint_margins(constants: Mapping[str, ArrayLike], symmetry: MaterialSymmetry) -> NDArray[np.float64]:
-    """By how much a set of constants meets each of its `CONSTRAINTS`, positive where it does.
+    """Margins by which a set of constants meets each of its `CONSTRAINTS`, positive where it does.
 
     Transversely isotropic, eq. (9): the determinant of the stiffness, 1 - |nu23|, sqrt(E1 / E2) - |nu12| and
     E1 / E2 - 1. The first is zero at nu12 = 1/2, whatever E1 and E2 are.
 
     constants : real, as for `complete_constants`, broadcast to a common shape (...)
-    returns (..., n_constraints), NaN where a constant is
+    returns (..., n_constraints), NaN where a constant is NaN
     raises ValueError for a missing or an unknown constant
     """
     return _margins(complete_constants(constants, symmetry), symmetry)
@@ -682,7 +681,7 @@ def _margins(full: Mapping[str, Array], symmetry: MaterialSymmetry) -> NDArray[n
 def constraint_violations(
     constants: Mapping[str, ArrayLike], symmetry: MaterialSymmetry
 ) -> NDArray[np.bool_]:
-    """True for each of its `CONSTRAINTS` that a set of constants breaks; NaN breaks all that it enters.
+    """True for each of its `CONSTRAINTS` that a set of constants violates; NaN violates all that it enters.
 
     constants : as for `constraint_margins`, (...); returns (..., n_constraints)
     raises ValueError for a missing or an unknown constant

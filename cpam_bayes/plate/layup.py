@@ -1,6 +1,6 @@
 """The notation of layups: "[(0/90)_8]_s", "[45/-45/0_2]_2s", "[(?/?/?/?)_4]_s", "[(c0/g45)_4]_s".
 
-Plies may also stand apart by commas or spaces, one of these in a layup, and angles have a degree sign.
+Plies may also be separated by commas or spaces, the same in a whole layup; angles may have a degree sign.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ _PAIRS: Final = {
 }
 _MINUS: Final = ("-", "\N{MINUS SIGN}")
 
-# A run of plies: (angle, -1, name) is known, (nan, k, name) is the k-th unknown, counted from 0; a ply that
-# is like all others has the name "".
+# A run of plies: (angle, -1, name) is known, (nan, k, name) is the k-th unknown, counted from 0; the name is
+# "" where all plies are alike.
 _Plies = list[tuple[float, int, str]]
 
 
 @dataclass(frozen=True, slots=True)
 class PlyKind:
-    """A ply that a layup calls by a name.
+    """A ply that a layup refers to by name.
 
-    material : of a hybrid, "" where all plies are of one
+    material : of a hybrid, "" where all plies are of one material
     thickness : m
-    density : kg/m3, None where the plate is taken as of one density
+    density : kg/m3, None where the density of the plate is uniform
     """
 
     name: str
@@ -62,8 +62,8 @@ class Layup:
 
     text : as written
     angles_deg : (n_plies,) in (-90, 90], nan where unknown
-    unknown_index : (n_plies,) which unknown a ply takes, -1 where known
-    kinds : n_plies, what each ply is; empty where all are alike
+    unknown_index : (n_plies,) index of a ply's unknown, -1 where known
+    kinds : n_plies, the kind of each ply; empty where all are alike
     """
 
     text: str
@@ -103,10 +103,7 @@ class Layup:
 
     @property
     def plies(self) -> PlyStack | None:
-        """Where the plies lie and what they are made of, None where all are alike.
-
-        Thicknesses are taken in proportion: they fill the plate.
-        """
+        """Positions and materials of the plies, scaled to fill the thickness; None where all are alike."""
         if not self.kinds:
             return None
         thickness = np.array([kind.thickness for kind in self.kinds])
@@ -120,7 +117,7 @@ class Layup:
         )
 
     def angles(self, unknown_deg: ArrayLike) -> NDArray[Any]:
-        """Angles of every ply, (..., n_unknown) -> (..., n_plies), degrees; complex input passes.
+        """Angles of every ply, (..., n_unknown) -> (..., n_plies), degrees; complex input is accepted.
 
         raises ValueError when the last axis is not n_unknown long
         """
@@ -137,7 +134,7 @@ class Layup:
         return full
 
     def with_angles(self, unknown_deg: ArrayLike) -> Layup:
-        """The known layup that one choice of the unknown angles gives, (n_unknown,) degrees.
+        """The layup with its unknown angles set to (n_unknown,) degrees.
 
         raises ValueError for another shape or an angle outside [-90, 90]
         """
@@ -153,12 +150,12 @@ class Layup:
 def parse_layup(text: str, kinds: Mapping[str, PlyKind] = MappingProxyType({})) -> Layup:
     """Read a layup, bottom to top.
 
-    Plies are parted by "/"; "_n" repeats a ply or a group; after the last bracket "_s" mirrors,
+    Plies are separated by "/"; "_n" repeats a ply or a group; after the last bracket "_s" mirrors,
     "_T" does not, "_2s" repeats and then mirrors; "±45" is 45/-45. A "?" is an unknown angle: one
     unknown for each "?" written, however often its group is repeated.
 
-    kinds : plies by their names, which the layup then writes before each angle, as in "[c0/g45]"; a name
-        without an angle is at 0
+    kinds : plies by name; the layup then has a name before each angle, as in "[c0/g45]"; a name without an
+        angle is at 0
 
     raises LayupError for anything else, angles outside [-90, 90] and more than MAX_PLIES plies
     """
@@ -216,12 +213,12 @@ def _format_ply(angle: float, count: int, name: str = "") -> str:
 
 
 def _normalised(angle: float) -> float:
-    """-90 and 90 are one direction, -0 and 0 one number."""
+    """The angle, with 90 for -90 and 0 for -0."""
     return 90.0 if angle == -90.0 else angle + 0.0
 
 
 class _Reader:
-    """Recursive descent over one layup; every count is checked before a list grows by it."""
+    """A recursive-descent parser of one layup; every count is checked before a list grows by it."""
 
     def __init__(self, text: str, kinds: Mapping[str, PlyKind]) -> None:
         self.text = text
@@ -264,7 +261,7 @@ class _Reader:
             self.separator(closing)
 
     def separator(self, closing: str) -> None:
-        """The sign between plies, the same in the whole layup."""
+        """Read the separator between plies, the same in the whole layup."""
         mark = self.peek()
         if mark not in _BETWEEN:
             if not self.text[self.at - 1].isspace() or mark in ("]", ")", "}", "_"):

@@ -1,4 +1,4 @@
-"""One frequency a mode from rows of hits, with the scatter of a hit, and what cannot be."""
+"""One frequency per mode from rows of hits, with the scatter of a hit, and errors of the rows."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Array = NDArray[Any]
 _UPPER: Final = 0.975
 # A mode this far below one with a lower number is misread: no numbering of modes goes so far astray.
 _MISNUMBERED: Final = 10.0
-# As many frequencies with one step between them are the lines of a spectrum.
+# This many equally spaced frequencies are the lines of a spectrum.
 _LINES_OF_SPECTRUM: Final = 8
 # Damping above this is more than a composite plate has, 0.0005 to 0.03.
 _MUCH_DAMPING: Final = 0.05
@@ -42,13 +42,13 @@ class TableModes:
     """The modes of a table, ascending.
 
     frequencies : (n,) Hz, means over hits
-    sd : (n,) Hz of a single hit; None where nothing tells it
+    sd : (n,) Hz of a single hit; None where unknown
     labels : "" where there is none
     damping : (n,) ratios, nan where there is none; None where no mode has one
-    hits : (n,) that a mode was seen in
-    left_out : modes that no row with a weight has, as they are named
-    unused : heads of the columns that are not read
-    remarks : what may be a slip, a sentence each
+    hits : (n,) number of hits that show the mode
+    left_out : names of the modes without a row of positive weight
+    unused : headings of the columns that are not read
+    remarks : possible slips, a sentence each
     """
 
     frequencies: Array
@@ -86,7 +86,7 @@ class TableModes:
 
 @dataclass(frozen=True, slots=True)
 class _Mode:
-    """A mode with its rows; mean, variance : of a single hit, nan for one hit; freedom : of the variance."""
+    """A mode with its rows; variance : of a single hit, nan for one; freedom : degrees of freedom of it."""
 
     name: str
     label: str
@@ -98,10 +98,10 @@ class _Mode:
 
 
 def small_sample_factor(freedom: float) -> float:
-    """By what a standard deviation from few hits is enlarged, t_{0.975}(freedom) / 1.96.
+    """Factor that enlarges a standard deviation from few hits, t_{0.975}(freedom) / 1.96.
 
-    A normal density with the enlarged one has the 95 % interval of Student's t, which is that of a further
-    hit when the standard deviation itself is estimated (Gelman et al., Bayesian Data Analysis, section 3.2).
+    A normal density so enlarged has the 95 % interval of Student's t, which is that of a further hit when the
+    standard deviation itself is estimated (Gelman et al., Bayesian Data Analysis, section 3.2).
     """
     return float(t.ppf(_UPPER, freedom) / norm.ppf(_UPPER))
 
@@ -109,14 +109,14 @@ def small_sample_factor(freedom: float) -> float:
 def modes_of(
     table: ModesTable, *, complete: bool, least: float = 0.0
 ) -> tuple[TableModes | None, tuple[TableProblem, ...]]:
-    """One frequency a mode with the scatter of its hits, or everything that is wrong.
+    """One frequency per mode with the scatter of its hits, or all errors.
 
-    The scatter is that of a single hit, as what all hits share is not in it, enlarged by
-    `small_sample_factor`; of a mode with one hit it is the relative scatter of all others together. It is no
-    less than the rounding of the table, nor than the mean of stated standard deviations, nor than ``least``.
+    The scatter is that of a single hit, as errors common to all hits do not show in it, enlarged by
+    `small_sample_factor`; a mode with one hit takes the pooled relative scatter of all others. It is at least
+    the rounding of the table, the root mean square of stated standard deviations, and ``least``.
 
-    complete : whether modes that are left out in between are refused
-    least : what a standard deviation is at least, as a fraction of the frequency
+    complete : whether gaps between modes are refused
+    least : lower limit of a standard deviation, as a fraction of the frequency
     """
     groups, problems = _grouped(table)
     problems += [problem for name, rows in groups for problem in _astray(table, name, rows)]
@@ -154,7 +154,7 @@ def modes_of(
 
 
 def _implausible(used: Sequence[_Mode], step: float) -> Iterator[TableProblem]:
-    """A mode far below one with a lower number, and frequencies at equal steps."""
+    """Modes far below one with a lower number, and equally spaced frequencies."""
     numbered = sorted((mode for mode in used if mode.name.isdecimal()), key=lambda mode: int(mode.name))
     for low, high in itertools.pairwise(numbered):
         if high.mean * _MISNUMBERED < low.mean:
@@ -172,7 +172,7 @@ def _implausible(used: Sequence[_Mode], step: float) -> Iterator[TableProblem]:
 
 
 def _astray(table: ModesTable, name: str, every: Sequence[Hit]) -> list[TableProblem]:
-    """The hit of a mode that is furthest from the others, where it is none of this mode."""
+    """The hit furthest from the others of its mode, where it is too far to belong to it."""
     rows = [row for row in every if row.hz is not None and row.weight > 0.0]
     f = np.array([row.hz for row in rows])
     if len(rows) < 2:
@@ -192,7 +192,7 @@ def _astray(table: ModesTable, name: str, every: Sequence[Hit]) -> list[TablePro
 
 
 def _rounded(modes: Sequence[_Mode], least: float) -> tuple[str, ...]:
-    """Repeats that are equal to the last digit, and nothing else that tells the scatter."""
+    """A remark where repeats are equal to the last digit and nothing else tells the scatter."""
     repeated = [mode for mode in modes if mode.freedom > 0.0]
     is_stated = least > 0.0 or any(np.isfinite(mode.stated) for mode in modes)
     if is_stated or not repeated or any(mode.variance > 0.0 for mode in repeated):
@@ -204,7 +204,7 @@ def _rounded(modes: Sequence[_Mode], least: float) -> tuple[str, ...]:
 
 
 def _damped(damping: Array, unit: str) -> tuple[str, ...]:
-    """Damping that is more than a plate has: per cent read as ratios, most likely."""
+    """A remark on more damping than plates have: most likely per cent read as ratios."""
     most = float(np.max(damping, initial=0.0, where=np.isfinite(damping)))
     if most <= _MUCH_DAMPING:
         return ()
@@ -216,7 +216,7 @@ def _damped(damping: Array, unit: str) -> tuple[str, ...]:
 
 
 def _grouped(table: ModesTable) -> tuple[list[tuple[str, tuple[Hit, ...]]], list[TableProblem]]:
-    """Rows by mode, or by label where there are no modes, and slips in them."""
+    """Rows by mode, or by label where there are no modes, and their errors."""
     by = "mode" if "mode" in table.columns else "label" if "label" in table.columns else ""
     groups: dict[str, list[Hit]] = {}
     seen: set[tuple[str, object]] = set()
@@ -228,7 +228,7 @@ def _grouped(table: ModesTable) -> tuple[list[tuple[str, tuple[Hit, ...]]], list
         key = str(getattr(row, by)) if by else ""
         if by == "mode" and counted and key and row.hz is None and not any(map(str.isdecimal, key)):
             continue  # a line of text below
-        # merged cells: the mode of the hits below is that above
+        # merged cells: the hits below belong to the mode above
         key = key or (above if row.hit else "")
         above = key
         if not key and ((by == "mode" and row.hz is not None) or (by and "hit" in table.columns)):
@@ -276,7 +276,7 @@ def _mode(name: str, every: Sequence[Hit]) -> _Mode:
 
 
 def _scatter(modes: Sequence[_Mode], step: float) -> Array | None:
-    """Standard deviation of a single hit, Hz, nan where nothing tells it; None where nothing tells any."""
+    """Standard deviation of a single hit, Hz, nan where unknown; None where all are."""
     freedom = np.array([mode.freedom for mode in modes])
     mean, variance, stated = (
         np.array([getattr(mode, name) for mode in modes]) for name in ("mean", "variance", "stated")
@@ -298,7 +298,7 @@ def _scatter(modes: Sequence[_Mode], step: float) -> Array | None:
 def _gaps(
     table: ModesTable, groups: Sequence[tuple[str, tuple[Hit, ...]]], used: Sequence[_Mode]
 ) -> list[TableProblem]:
-    """Modes below the last one used that a complete list cannot lack."""
+    """Modes missing below the last one used, which a complete list must have."""
     cure = "accepted: complete = false in [measurement], as the list then lacks a mode"
     highest, seen = used[-1].mean, {mode.name for mode in used}
     problems = []
@@ -329,9 +329,9 @@ _KEY = ("measurement", "table")
 
 
 def table_of(data: Data, directory: Path | None) -> tuple[TableModes | None, list[Problem]]:
-    """The modes of the table that a plate file names, and what is wrong with it, by line and column.
+    """The modes of the table that a plate file names, and its problems, by line and column.
 
-    directory : where relative paths begin
+    directory : base of relative paths
     """
     measurement = table(data, "measurement")
     name = measurement.get("table")
@@ -352,7 +352,7 @@ def table_of(data: Data, directory: Path | None) -> tuple[TableModes | None, lis
 
 
 def heads_named(measurement: Data) -> dict[str, list[str]]:
-    """The heads of each column of a table as [measurement.columns] names them."""
+    """The headings of each column of a table, as named in [measurement.columns]."""
     return {
         column: [heads] if isinstance(heads, str) else heads
         for column, heads in table(measurement, "columns").items()
@@ -361,5 +361,5 @@ def heads_named(measurement: Data) -> dict[str, list[str]]:
 
 
 def located(key: tuple[str, ...], name: str, problem: TableProblem) -> Problem:
-    """What is wrong with a table that a plate file names under a key."""
+    """The problem of a table that a plate file names under a key."""
     return Problem(key, f"{Path(name).name} {problem}", choices=problem.choices)

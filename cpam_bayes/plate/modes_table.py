@@ -1,7 +1,7 @@
 """Tables of measured modes, long or wide, as rows of hits.
 
 Tables are as instruments and spreadsheets write them: any separator, decimal points or commas, lines above
-the heads. What is wrong is said by line and column.
+the headings. Errors are reported by line and column.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ COLUMNS: Final[Mapping[str, tuple[str, ...]]] = {
     name: tuple(head for other, _, heads in _LINES if other == name for head in heads.split(", "))
     for name in dict.fromkeys(name for name, _, _ in _LINES)
 }
-"""The columns that are read, each with the heads that it is known by."""
+"""The columns that are read, each with its known headings."""
 
-# Units in brackets or at the end of a head, and their factor from the unit of the column.
+# Units in brackets or at the end of a heading, and their factor to the unit of the column.
 _UNITS: Final[Mapping[str, Mapping[str, float]]] = {
     "hz": {"": 1.0, "hz": 1.0, "khz": 1e3},
     "sd": {"": 1.0, "hz": 1.0, "khz": 1e3},
     "damping": {"": 1.0, "-": 1.0, "1": 1.0, "%": 0.01},
 }
-# Heads of the specimen that a row is of.
+# Headings of the column that names the specimen.
 _SPECIMEN: Final = (
     *(
         "plate",
@@ -68,14 +68,14 @@ _SPECIMEN: Final = (
 )
 _BRACKETS: Final = re.compile(r"^([^\[(]*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]$")
 _KNOWN: Final = {head: name for name, heads in COLUMNS.items() for head in heads}
-# A number, with marks between thousands where these cannot be a decimal mark, and perhaps a unit.
+# A number, with thousands separators where these cannot be a decimal mark, and perhaps a unit.
 _NUMBER: Final = re.compile(
     r"([+-]?(?:\d{1,3}(?:[ '\u2019]\d{3})+(?:[.,]\d+)?|\d{1,3}(?:\.\d{3})+,\d+|\d{1,3}(?:,\d{3})+\.\d+"
     r"|\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?) ?(hz|khz|%)?",
     re.IGNORECASE,
 )
 _BESIDE: Final = re.compile(r"[ \t]*[;\t][ \t]*| +(?!k?hz)", re.IGNORECASE)
-# As many digits after a mark as thousands have.
+# Three digits after a mark, as after a thousands separator.
 _THOUSANDS: Final = re.compile(r"[1-9]\d{0,2}[.,]\d{3}")
 ASTRAY: Final = 1.2
 """Hits further than this factor from the median of their mode are misread, or of another mode."""
@@ -85,10 +85,10 @@ _LONGEST: Final = 200
 
 @dataclass(frozen=True, slots=True)
 class TableProblem:
-    """One thing that is wrong with a table: the line, 0 for the whole, the column, "" for all, and what.
+    """One error of a table: the line, 0 for the whole, the column, "" for all, and what is wrong.
 
-    kind : of what is said once of a column, "" of what stands for itself
-    choices : heads that may be those of the frequencies
+    kind : of an error that is reported once per column, "" for any other
+    choices : headings that may be those of the frequencies
     """
 
     line: int
@@ -98,7 +98,7 @@ class TableProblem:
     choices: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        """The place and the phrase that says it all."""
+        """The place and the phrase."""
         place = [f"line {self.line}"] if self.line else []
         place += [f"column {self.column}"] if self.column else []
         return f"{', '.join(place)}: {self.what}" if place else self.what
@@ -106,11 +106,11 @@ class TableProblem:
 
 @dataclass(frozen=True, slots=True)
 class Hit:
-    """One row: a frequency of a mode in one hit.
+    """One row: the frequency of a mode in one hit.
 
     line : in the file. mode, label, hit : as written, "" where not given. hz : None where the hit does not
-    show the mode. sd : Hz, damping : ratio, height : of its peak over what is there beside it, None where not
-    given. weight : 0 leaves the row out.
+    show the mode. sd : Hz, damping : ratio, height : of its peak over the background, None where not given.
+    weight : 0 leaves the row out.
     """
 
     line: int
@@ -128,8 +128,8 @@ class Hit:
 class ModesTable:
     """The rows of a table.
 
-    unused : heads of the columns that are not read. step : of the last digit, Hz. units : of the heads, in
-    lower case, by column, "" where there is none.
+    unused : headings of the columns that are not read. step : of the last digit, Hz. units : of the headings,
+    in lower case, by column, "" where there is none.
     """
 
     hits: tuple[Hit, ...]
@@ -142,25 +142,25 @@ class ModesTable:
 def read_modes_table(
     text: str, named: Mapping[str, Sequence[str]] | None = None
 ) -> tuple[ModesTable | None, tuple[TableProblem, ...]]:
-    """The rows of a table of modes, or everything that is wrong with it.
+    """The rows of a table of modes, or all its errors.
 
-    A long table has a column of frequencies. A wide one has a row a hit and a column a mode, or a row a mode
-    and a column a hit; it is read as the long one with the same cells.
+    A long table has a column of frequencies. A wide one has a row per hit and a column per mode, or the
+    reverse; it is read as the long one with the same cells.
 
-    named : column -> its heads in this table, where they are not what `COLUMNS` has
+    named : column -> its headings in this table, where they are not in `COLUMNS`
     """
     given = {head.casefold(): name for name, heads in (named or {}).items() for head in heads}
     is_named = "hz" in given.values()
 
     def columns_of(heads: Sequence[str], *, guess: bool = True) -> list[tuple[str, str]]:
-        """The columns of a line of heads; guess : one alone in Hz that is not known has the frequencies."""
+        """The columns of a line of headings; guess : a single unknown one in Hz has the frequencies."""
         found = [(given[h.casefold()], _split(h)[1]) if h.casefold() in given else _column(h) for h in heads]
         if is_named:
             other = [
                 name == "hz" and h.casefold() not in given for h, (name, _) in zip(heads, found, strict=True)
             ]
             found = [("", "") if is_other else c for is_other, c in zip(other, found, strict=True)]
-        # a head with a separator is a line that another one divides, one with digits a line above
+        # a heading with a separator is a line to be split by another, one with digits a line above the table
         in_hz = [i for i, h in enumerate(heads) if _IN_HZ.fullmatch(h)]
         if guess and len(in_hz) == 1 and not any(name == "hz" for name, _ in found):
             found[in_hz[0]] = ("hz", _split(heads[in_hz[0]])[1])
@@ -174,7 +174,7 @@ def read_modes_table(
 
     known, guessed = (delimited(text, partial(is_header, guess=guess)) for guess in (False, True))
     candidates = list(itertools.islice(itertools.chain(known, guessed), _MOST_HEADS))
-    # a line above the heads may have words of theirs, but no numbers below them
+    # a line above the headings may share their words, but has no numbers below them
     found = next((one for one in candidates if _has_frequencies(one, columns_of(one.heads))), None)
     found = found or next(iter(candidates), None) or (None if given else _without_heads(text))
     if found is None:
@@ -225,7 +225,7 @@ def read_modes_table(
 
 
 def _without_heads(text: str) -> Delimited | None:
-    """A column of numbers alone, or beside the numbers of the modes, as a table; None of any other text."""
+    """A column of numbers, alone or beside mode numbers, as a table; None for any other text."""
     lines = [(i, line.strip()) for i, line in enumerate(text.splitlines(), 1)]
     rows = tuple(Row(i, tuple(_BESIDE.split(line))) for i, line in lines if line and line[0] not in "#%")
     cells = [row.cells for row in rows]
@@ -238,12 +238,12 @@ def _without_heads(text: str) -> Delimited | None:
     return Delimited(0, ("mode", "frequency"), rows, ";") if is_counted else None
 
 
-# What tells the column of the frequencies.
+# How to name the column of the frequencies.
 _NAMED: Final = 'name it in [measurement.columns]: hz = "HEAD"'
 
 
 def _numbered_columns(text: str) -> tuple[str, ...]:
-    """The heads above numbers of a table none of whose columns is known as that of the frequencies."""
+    """The headings above numbers, for a table without a known column of frequencies."""
 
     def is_header(heads: Sequence[str]) -> bool:
         return len(heads) > 1 and not any(map(_NUMBER.fullmatch, heads))
@@ -265,7 +265,7 @@ def _numbered_columns(text: str) -> tuple[str, ...]:
 
 
 def once(problems: Sequence[TableProblem]) -> tuple[TableProblem, ...]:
-    """The problems, with one for all that are of a kind in a column."""
+    """The problems, with all of one kind in a column merged into one."""
     counts = Counter((p.column, p.kind) for p in problems)
     first = {(p.column, p.kind) if p.kind else (p.column, p): p for p in reversed(problems)}
     kept = [p for p in problems if p in first.values()][:_MOST_PROBLEMS]
@@ -276,25 +276,25 @@ def once(problems: Sequence[TableProblem]) -> tuple[TableProblem, ...]:
 
 
 def _has_frequencies(table: Delimited, columns: Sequence[tuple[str, str]]) -> bool:
-    """Whether a number stands below a head of frequencies, or beside one, in a row that fits the heads."""
+    """Whether a row that fits the headings has a number in a column of frequencies."""
     at = _wide(table.heads) or [i for i, (name, _) in enumerate(columns) if name == "hz"]
     rows = [row.cells for row in table.rows[:_ROWS_TRIED] if len(row.cells) == len(table.heads)]
     return any(_NUMBER.fullmatch(row[i]) for row in rows for i in at)
 
 
-# No plate that is tapped has all its frequencies below this, Hz.
+# No tapped plate has all its frequencies below this, Hz.
 _LOW: Final = 10.0
-# Lines that may be the heads, and rows below that show whether they are.
+# Most lines tried as headings, and rows below that are checked for each.
 _MOST_HEADS: Final = 20
 _ROWS_TRIED: Final = 100
 _IN_HZ: Final = re.compile(r"[^\d;,|\t\[(]+[\[(/ ]+k?hz[\])]?", re.IGNORECASE)
-# A column a mode: 1, mode 1, f1, f_1; a label of nodal lines; a column a hit: hit 1.
+# A column per mode: 1, mode 1, f1, f_1; a label of nodal lines; a column per hit: hit 1.
 _NUMBERED: Final = re.compile(
     r"(?P<stem>.*?)[ _.#]*(?P<n>[0-9]{1,3})\.?|(?P<at>[0-9]{1,3})(?:st|nd|rd|th|er?|[ªº°])? (?P<of>\D+)"
 )
 _OF: Final = re.compile(r"^(?:of|der|des|du|de|del|do|van|von|di) (?:the )?")
 _LABEL: Final = re.compile(r"\(\d+ ?[,;] ?\d+\)")
-# What a cell has where a hit does not show a mode, and rows that sum up those above.
+# Cells where a hit does not show a mode, and names of summary rows.
 _NOT_SEEN: Final = ("-", "\N{EN DASH}", "n/a", "na", "nan", "#n/a", "#nv", "x", "?")
 _SUMMARY: Final = re.compile(
     r"(mean|average|avg|mittel|moyenne|moy|m[ée]dia|promedio|gemiddelde|średnia|std|sd|stdev|stabw|"
@@ -304,7 +304,7 @@ _SUMMARY: Final = re.compile(
 
 
 def _wide(heads: Sequence[str]) -> list[int] | None:
-    """The columns with a frequency each, of modes or of hits; None where the heads are of no wide table."""
+    """The columns of frequencies, one per mode or per hit; None where the table is not wide."""
     texts = [_split(head)[0] for head in heads]
     labelled = [i for i, text in enumerate(texts) if _LABEL.fullmatch(text)]
     if len(labelled) > 1:
@@ -317,7 +317,7 @@ def _wide(heads: Sequence[str]) -> list[int] | None:
     for stem, found in series.items():
         known = stem == "" or _KNOWN.get(stem) in ("mode", "hz", "hit")
         numbers = [number for _, number in found]
-        # numbers alone may be data; modes of a program may begin at 7, and lack some
+        # bare numbers may be data; named modes may begin at 7, and have gaps
         counted = numbers == (sorted(set(numbers)) if stem else list(range(1, len(found) + 1)))
         if known and len(found) > 1 and counted:
             return [i for i, _ in found]
@@ -325,7 +325,7 @@ def _wide(heads: Sequence[str]) -> list[int] | None:
 
 
 def _numbered(text: str) -> tuple[str, int] | None:
-    """The word and the number of a head such as mode 1, 1st mode, frequency of mode 1, 1; None of others."""
+    """The word and the number of a heading such as mode 1, 1st mode, frequency of mode 1, 1; else None."""
     for quantity in COLUMNS["hz"]:
         rest = _OF.sub("", text.removeprefix(f"{quantity} ").removesuffix(f" {quantity}"))
         match = _NUMBERED.fullmatch(rest)
@@ -339,7 +339,7 @@ def _numbered(text: str) -> tuple[str, int] | None:
 
 
 def _turned(table: Delimited) -> Delimited:
-    """A table with a column a mode and a row a quantity, as one with a row a mode; any other as it is."""
+    """A table with a column per mode and a row per quantity, transposed; any other unchanged."""
     across = _wide(table.heads)
     rows = [row for row in table.rows if len(row.cells) == len(table.heads)]
     if across is None:
@@ -354,7 +354,7 @@ def _turned(table: Delimited) -> Delimited:
 
 
 def _without_summaries(table: Delimited, columns: Sequence[tuple[str, str]]) -> Delimited:
-    """The table without rows of means and scatter, which the first column, mode or hit say."""
+    """The table without rows of means and scatter, known by their first, mode, label or hit column."""
     at = [
         i
         for i, (name, _) in enumerate(columns)
@@ -365,7 +365,7 @@ def _without_summaries(table: Delimited, columns: Sequence[tuple[str, str]]) -> 
 
 
 def _long(table: Delimited, across: Sequence[int]) -> tuple[Delimited, TableProblem | None]:
-    """A wide table as a long one, and what cannot be; across : the columns with frequencies."""
+    """A wide table as a long one, and its error, if any; across : the columns with frequencies."""
     texts = [_split(head) for head in table.heads]
     kinds = [_column(head)[0] for head in table.heads]
     key = next(
@@ -416,7 +416,7 @@ def _rows_agree(table: Delimited, across: Sequence[int]) -> bool:
 
 
 def _with_units(table: Delimited) -> Delimited:
-    """The table with the units of a line below the heads in these."""
+    """The table with units from a line below the headings moved into these."""
     if not table.rows:
         return table
     units = [cell.casefold().strip("[]() ") for cell in table.rows[0].cells]
@@ -432,7 +432,7 @@ _UNIT_CELLS: Final = ("", "hz", "khz", "%", "-", "1")
 
 
 def _split(head: str) -> tuple[str, str]:
-    """The text of a head and its unit, "" for none, in lower case."""
+    """The text of a heading and its unit, "" for none, in lower case."""
     text = head.casefold().replace("ζ", "zeta")
     text = text.lstrip("#% ") or text  # heads that begin as a comment
     if _LABEL.fullmatch(text):
@@ -447,7 +447,7 @@ def _split(head: str) -> tuple[str, str]:
 
 
 def _column(head: str) -> tuple[str, str]:
-    """The column that a head names, "" for none that is known, and its unit in lower case."""
+    """The column that a heading names, "" if unknown, and its unit in lower case."""
     text, unit = _split(head)
     return (_KNOWN[text], unit) if text in _KNOWN else ("", "")
 
@@ -510,7 +510,7 @@ def _of_cells(table: Delimited, columns: Sequence[tuple[str, str]]) -> list[Tabl
 
 
 HEIGHT: Final = "a height above 0, of the peak over what is there beside it; 20 dB are 10"
-"""What is accepted as the height of a peak."""
+"""The accepted heights of a peak, in words."""
 _ACCEPTED: Final[Mapping[str, str]] = {
     "hz": "a frequency above 0",
     "sd": "a standard deviation above 0",
@@ -521,7 +521,7 @@ _ACCEPTED: Final[Mapping[str, str]] = {
 
 
 def _wrong(cell: str, name: str, unit: str) -> tuple[str, str] | None:
-    """The kind of the problem with a cell, and what it is."""
+    """Kind and description of the error of a cell, None where there is none."""
     if not (cell.isprintable() and len(cell) <= _LONGEST):
         return "text", f"not a text that can be shown, accepted: up to {_LONGEST} printable characters"
     if name not in _ACCEPTED or _is_empty(cell):
@@ -542,7 +542,7 @@ def _is_empty(cell: str) -> bool:
 
 
 def _number(cell: str, name: str = "", unit: str = "") -> float:
-    """The value of a cell in the unit of its column, by the unit beside it or in the head."""
+    """The value of a cell in the unit of its column, converted from the unit beside it or in the heading."""
     match = _NUMBER.fullmatch(cell)
     assert match is not None
     *whole, part = re.split("[.,]", re.sub("[ '\u2019]", "", match[1]))
@@ -553,9 +553,9 @@ def _number(cell: str, name: str = "", unit: str = "") -> float:
 def _doubts(
     table: Delimited, columns: Sequence[tuple[str, str]], *, is_stated: bool, is_named: bool
 ) -> Iterator[TableProblem]:
-    """What frequencies may be that are not as they seem: above a thousand, in kHz, cut at commas, widths.
+    """Likely misreadings of frequencies: thousands, mode numbers, kHz, split decimal commas, widths.
 
-    is_named : whether the plate file says which column they are
+    is_named : whether the plate file names their column
     """
     at = next(i for i, (name, _) in enumerate(columns) if name == "hz")
     rows = [row.cells for row in table.rows if not _is_empty(row.cells[at])]
@@ -577,7 +577,7 @@ def _doubts(
     elif f.max() < _LOW and (not is_stated or (as_thousands and marked.all() and unit != "khz")):
         accepted = "accepted: a unit in the head, Hz or kHz, and no mark between thousands"
         yield here(f"too low for a plate in Hz, received {', '.join(cells[:3])}, {accepted}")
-    # whole numbers beside whole frequencies, and nothing behind: decimal parts are likelier than counts
+    # whole numbers beside whole frequencies and nothing after: decimal parts are likelier than counts
     beside = {row[at + 1] for row in rows} if columns[at + 1 :] else set()
     if (
         table.separator == ","
@@ -599,7 +599,7 @@ def _doubts(
 
 
 def _of_specimens(table: Delimited, columns: Sequence[tuple[str, str]]) -> list[TableProblem]:
-    """Rows of several plates, which are no hits of one."""
+    """The problem with rows of several plates, which are not hits of one."""
     for i, head in enumerate(table.heads):
         names = list(dict.fromkeys(row.cells[i] for row in table.rows if row.cells[i]))
         if not columns[i][0] and _split(head)[0] in _SPECIMEN and len(names) > 1:
@@ -629,7 +629,7 @@ def _hit(row: Row, columns: Sequence[tuple[str, str]]) -> Hit:
 
 
 def _step(table: Delimited, columns: Sequence[tuple[str, str]]) -> float:
-    """The step of the last digit that the frequencies are written with, Hz."""
+    """The step of the last written digit of the frequencies, Hz."""
     at = next(i for i, (name, _) in enumerate(columns) if name == "hz")
     numbers = (_NUMBER.fullmatch(row.cells[at]) for row in table.rows)
     parts = [re.split(r"[.,]", number[1]) for number in numbers if number]
@@ -640,12 +640,12 @@ def _step(table: Delimited, columns: Sequence[tuple[str, str]]) -> float:
 def read_sheets(
     content: bytes, named: Mapping[str, Sequence[str]] | None = None
 ) -> tuple[ModesTable | None, tuple[TableProblem, ...], tuple[str, ...]]:
-    """The rows of the first sheet with a table of modes, what is wrong with it, further sheets with one."""
+    """The rows of the first sheet with a table of modes, its errors, and further sheets with a table."""
     try:
         read = {name: read_modes_table(text, named) for name, text in sheets(content).items()}
     except SheetError as error:
         return None, (TableProblem(0, "", str(error)),), ()
-    # a table with something wrong is one: what is wrong with the whole is that there is none
+    # an error in a line shows that there is a table; an error of the whole is that there is none
     tables = [name for name, (rows, problems) in read.items() if rows is not None or problems[0].line]
     rows, problems = read[tables[0]] if tables else next(iter(read.values()))
     return rows, problems, tuple(name for name in tables[1:] if read[name][0] is not None)

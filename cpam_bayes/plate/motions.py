@@ -1,4 +1,4 @@
-"""Motions in the plane that map a rectangle or a square onto itself: of its edges, points and ply angles."""
+"""Plane motions that map a rectangle or square onto itself, acting on its edges, points and ply angles."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ ANGLE_MOTIONS: Final[dict[str, Callable[[Array], Array]]] = {
     "quarter turn": lambda t: t + 90.0,
     "diagonal mirror image": lambda t: 90.0 - t,
 }
-# Kinds that exchange the sides: of squares alone.
+# Kinds that exchange the sides: for squares only.
 EXCHANGES: Final = ("quarter turn", "diagonal mirror image")
 
 
 class Motion(NamedTuple):
-    """A motion.
+    """A motion of the plate onto itself.
 
-    kind : of ``ANGLE_MOTIONS``
+    kind : key of ``ANGLE_MOTIONS``
     edges : where each edge (x0, y0, x1, y1) comes from
-    point : where a point (x / length, y / width) goes; of arrays too
+    point : image of a point (x / length, y / width), or of arrays
     """
 
     kind: str
@@ -33,7 +33,7 @@ class Motion(NamedTuple):
     point: Callable[[Any, Any], tuple[Any, Any]]
 
     def keeps_edges(self, edges: str) -> bool:
-        """Whether every edge comes to one that is held alike."""
+        """Whether every edge maps onto one with the same condition."""
         return all(edges[old] == new for old, new in zip(self.edges, edges, strict=True))
 
 

@@ -1,7 +1,7 @@
-"""Plate files, their content and built-in specimens become a `Specimen`, or one error with all that is wrong.
+"""Readers of plate files, their content and built-in specimens: a `Specimen`, or one error with all problems.
 
-The text (text.py) is parsed; its values are checked one by one (schema.py) and together (checks.py); what has
-passed becomes records in SI.
+The text (text.py) is parsed; its values are checked one by one (schema.py) and together (checks.py); those
+that pass become records in SI.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ from cpam_bayes.plate.text import (
 if TYPE_CHECKING:
     from cpam_bayes.plate.stored_posterior import FormerPriors
 
-# More than the same plate differs by when it is hung and tapped again, as a fraction.
+# More than the scatter of a plate that is hung and tapped again, as a fraction.
 _MUCH_SCATTER: Final = 0.05
 # The angles of an isotropic plate's plies change nothing.
 _ISOTROPIC_LAYUP = "[0]"
@@ -110,7 +110,7 @@ def read_plate(plate: PlateLike) -> Specimen:
 
 
 def _as_of_a_file(value: Any) -> Any:
-    """Values of Python or numpy as TOML has them: tables, lists and single values."""
+    """Python or numpy values as TOML types: tables, lists and single values."""
     if isinstance(value, Mapping):
         return {key: _as_of_a_file(inner) for key, inner in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -121,7 +121,7 @@ def _as_of_a_file(value: Any) -> Any:
 def read_specimen(path_or_name: str, heads: Sequence[str] = ()) -> Specimen:
     """Read a plate file, or take a built-in specimen by its name.
 
-    heads : of the columns of its table that have the frequencies, as if [measurement.columns] said so
+    heads : headings of the columns of frequencies in its table, as if [measurement.columns] named them
     A file that has the name of a built-in specimen is reached as "./NAME". Raises ``PlateFileError`` with
     all problems of the file at once.
     """
@@ -143,7 +143,7 @@ def read_specimen(path_or_name: str, heads: Sequence[str] = ()) -> Specimen:
     return parse_specimen(text, source, path.parent, heads)
 
 
-# Endings of what is no plate file, whatever is in it.
+# Suffixes of files that are no plate file, whatever is in them.
 _OTHERS: Final = (
     *(".csv", ".xlsx", ".xls", ".ods", ".pdf", ".doc", ".docx", ".json", ".yaml", ".yml", ".png", ".jpg"),
     *(".wav", ".unv", ".uff", ".nc", ".msh", ".inp"),
@@ -166,7 +166,7 @@ def _unknown_name(name: str, source: str) -> str:
 
 
 def builtin_names() -> tuple[str, ...]:
-    """Names of the built-in specimens, as the paper has them."""
+    """Names of the built-in specimens, as in the paper."""
     return _NAMES
 
 
@@ -205,9 +205,9 @@ def parse_specimen(
 ) -> Specimen:
     """Read the text of a plate file.
 
-    source : how messages name the file.
-    directory : where its relative paths begin
-    heads : as of `read_specimen`
+    source : name of the file in messages
+    directory : base of its relative paths
+    heads : as in `read_specimen`
     raises PlateFileError with all problems, each with file, line and key
     """
     data = parse(text, source)
@@ -225,7 +225,7 @@ def _checked_specimen(
 ) -> Specimen:
     """Check the content of a plate file; arguments and errors as `parse_specimen`.
 
-    lines : where each key stands, empty for what was not read from a text
+    lines : line of each key, empty for content that was not read from a text
     """
     data, misspelt = respelt(understood(data))
     if heads:
@@ -239,7 +239,7 @@ def _checked_specimen(
     if of_former:  # what [material] lacks is what they were to tell
         told = (p.path[0] == "material" and (p.is_gap or p.path[-1] == "symmetry") for p in problems)
         problems = [p for p, is_told in zip(problems, told, strict=True) if not is_told] + of_former
-    # a value under another name is in another unit, or of another kind, more often than not
+    # a value under a misspelt key is often in another unit, or of another kind
     problems = [p for p in (problem.under(misspelt) for problem in problems) if p.path not in misspelt]
     problems += [
         Problem(path, f"unknown key, the nearest known key is {key}").under(misspelt)
@@ -253,7 +253,7 @@ def _checked_specimen(
 def _with_former(
     data: dict[str, Any], directory: Path | None
 ) -> tuple[dict[str, Any], Mapping[str, FormerPriors], list[Problem]]:
-    """The file with what it leaves to former posteriors, as of `with_former_posteriors`."""
+    """The file completed from former posteriors, see `with_former_posteriors`."""
     material = table(data, "material")
     if not any("posterior" in part for part in (material, *material.values()) if isinstance(part, dict)):
         return data, {}, []
@@ -263,7 +263,7 @@ def _with_former(
 
 
 def _measured(data: Mapping[str, Any], directory: Path | None) -> tuple[Mapping[str, Any], list[Problem]]:
-    """Fields of `Measurement` from the file that [measurement] names, and what is wrong with it."""
+    """Fields of `Measurement` from the file that [measurement] names, and its problems."""
     measurement = table(data, "measurement")
     fields: Mapping[str, Any] = {}
     problems: list[Problem] = []
@@ -287,7 +287,7 @@ def _measured(data: Mapping[str, Any], directory: Path | None) -> tuple[Mapping[
 
 
 def _rows_by_hand(measurement: Mapping[str, Any], listed: object) -> Iterator[Problem]:
-    """Numbers of frequencies that the list has not, and a list of which nothing is left."""
+    """Row numbers beyond the list, and lists of which nothing is left."""
     if not isinstance(listed, list | np.ndarray) or not len(listed):
         return
     for key in ("left_out", "by_hand"):
@@ -380,11 +380,11 @@ def _thicknesses(
 def _mean_thickness(
     each: tuple[tuple[float, float], tuple[float, float]], sd: Mapping[str, float]
 ) -> tuple[float, dict[str, float]]:
-    """The thickness of a plate of which mass and density are given, m, and the plate's standard deviations.
+    """The thickness of a plate with given mass and density, m, and the plate's standard deviations.
 
-    The mean of both thicknesses, each weighed by its precision, its standard deviation times how far they are
-    apart in standard deviations where that is above one (Birge's ratio of two values): one of them is wrong
-    then. The mass, as it was weighed, says what the density is, which has no standard deviation of its own.
+    The mean of both thicknesses weighted by their precisions. Its standard deviation is multiplied by their
+    distance in standard deviations where that is above one (Birge's ratio of two values): one of them is
+    wrong then. The density follows from the weighed mass and has no standard deviation of its own.
     """
     (gauged, own), (by_mass, other) = each
     weight = other**2 / (own**2 + other**2) if own > 0.0 else 1.0

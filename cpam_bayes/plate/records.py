@@ -1,6 +1,6 @@
 """The content of a plate file, in SI: plate, material, sensors, measured frequencies.
 
-At the border stand the names of the plate file, which carry their unit.
+Names of the plate file, which carry their unit, are used only in input and output.
 """
 
 from __future__ import annotations
@@ -54,19 +54,19 @@ USER_UNITS: Final[Mapping[str, tuple[str, float]]] = MappingProxyType(
         "theory_level": ("theory_level", 1.0),
     }
 )
-"""Name in the plate file -> (name inside, what one of the file's unit is in SI)."""
+"""Name in the plate file -> (internal name, the file's unit in SI)."""
 
 _BY_NAME: Final = {name: (user, factor) for user, (name, factor) in USER_UNITS.items()}
 
 
 def split_name(name: str) -> tuple[str, str]:
-    """The material of a hybrid, "" of one material, and the plain name: "c.E1" is of "c" and "E1"."""
+    """The material, "" unless of a hybrid, and the plain name of a constant: "c" and "E1" of "c.E1"."""
     material, _, plain = name.rpartition(".")
     return material, plain
 
 
 def joined_name(material: str, name: str) -> str:
-    """The name of a constant of a material: "c.E1"; of the material "" its plain name."""
+    """The name of a constant of a material: "c.E1"; for the material "" its plain name."""
     return f"{material}.{name}" if material else name
 
 
@@ -81,7 +81,7 @@ def to_si(user: str, value: float) -> float:
 
 
 def to_user(name: str, value: float) -> float:
-    """A number inside, SI, in the unit of the plate file.
+    """An internal number, SI, in the unit of the plate file.
 
     raises ValueError for a name that is not in USER_UNITS
     """
@@ -89,7 +89,7 @@ def to_user(name: str, value: float) -> float:
 
 
 def user_name(name: str) -> str:
-    """The name with unit that the plate file has for a name inside.
+    """The plate file's name, with its unit, of an internal name.
 
     raises ValueError for a name that is not in USER_UNITS
     """
@@ -110,7 +110,7 @@ def _lookup(name: str) -> tuple[str, float]:
 
 
 def _scaled(value: float, factor: float) -> float:
-    """Dividing by 1000 rounds once, multiplying by 0.001 twice: 3.2 mm must be 0.0032 m."""
+    """The value times a factor, rounded only once: 3.2 mm must be 0.0032 m."""
     return value * factor if factor >= 1.0 else value / round(1.0 / factor)
 
 
@@ -121,7 +121,7 @@ _NONE_VARIED: Final[Mapping[str, ArrayLike]] = MappingProxyType({})
 USUAL_SD: Final[Mapping[str, float]] = MappingProxyType(
     {"length": 0.001, "width": 0.001, "thickness": 0.01, "density": 0.01, "mass": 0.002}
 )
-"""Relative standard deviations of what is measured of a plate, where its file gives none: docs/priors.md."""
+"""Relative standard deviations of a plate's sizes, density and mass by default: docs/priors.md."""
 
 
 def sds_apart(first: tuple[float, float], second: tuple[float, float]) -> float:
@@ -137,10 +137,10 @@ class Plate:
     density : kg/m3, from the mass when that was given
     mass : kg, None when the density was given
     edges : four of F (free), S (simply supported), C (clamped): x = 0, y = 0, x = length, y = width
-    sd : standard deviations of what was measured, SI, by length, width, thickness, density, mass; 0: exact
+    sd : standard deviations of length, width, thickness, density, mass where given, SI; 0: exact
     mesh : a mesh file to be used instead of the rectangle
-    thicknesses : as it was gauged and by mass and density, each with its standard deviation, m; None where
-        the file does not give all three
+    thicknesses : as gauged, and from mass and density, each with its standard deviation, m; None where the
+        file does not give all three
     """
 
     length: float
@@ -161,14 +161,14 @@ class Plate:
 
     @property
     def thicknesses_apart(self) -> float:
-        """How far the two thicknesses are apart, in standard deviations of their difference; 0 for one."""
+        """Distance of the two thicknesses in standard deviations of their difference; 0 for one."""
         if self.thicknesses is None:
             return 0.0
         return sds_apart(*self.thicknesses)
 
     @property
     def total_mass(self) -> float:
-        """As weighed, else density times volume, kg."""
+        """Mass as weighed, else density times volume, kg."""
         return self.density * self.area * self.thickness if self.mass is None else self.mass
 
     @property
@@ -179,15 +179,15 @@ class Plate:
 
     @property
     def known_to(self) -> dict[str, float]:
-        """How well each of these is known, SI: the standard deviation that is stated, else the usual one."""
+        """Standard deviations of the `sizes`, SI: those stated, else the usual ones."""
         return {name: self.sd.get(name, USUAL_SD[name] * value) for name, value in self.sizes.items()}
 
     def is_weighed_to(self, sd: float) -> bool:
-        """Whether the mass is known to a relative standard deviation."""
+        """Whether the mass is known to this relative standard deviation or better."""
         return self._is_known_to("mass", sd)
 
     def is_gauged_to(self, sd: float) -> bool:
-        """Whether the thickness is known to a relative standard deviation."""
+        """Whether the thickness is known to this relative standard deviation or better."""
         return self._is_known_to("thickness", sd)
 
     def _is_known_to(self, name: str, sd: float) -> bool:
@@ -213,12 +213,12 @@ class Constraint:
 class Material:
     """Reference constants of a ply.
 
-    symmetry : says which constants the ply has, which follow from others, and what they satisfy
+    symmetry : determines which constants the ply has, which follow from others, and what they satisfy
     constants : Pa or dimensionless; E1, E2, nu12, G12 and, where given, G13, G23;
         isotropic: E1, nu12
-    sd : how well each is known, in the same unit, where given
+    sd : standard deviation of each, in the same unit, where given
     name : plates of the same name share their constants
-    known : whether the constants say anything before a measurement; if not, bounds alone do
+    known : whether the constants are prior information; if not, only the bounds are
     """
 
     symmetry: MaterialSymmetry
@@ -229,12 +229,12 @@ class Material:
 
     @property
     def isotropic(self) -> bool:
-        """Whether the ply has no directions."""
+        """Whether the ply is isotropic."""
         return self.symmetry == "isotropic"
 
     @property
     def parts(self) -> Mapping[str, Material]:
-        """The material itself, by the name that its constants carry: none."""
+        """The material itself, under the empty name."""
         return {"": self}
 
     @property
@@ -245,20 +245,20 @@ class Material:
     def complete(self, values: Mapping[str, ArrayLike] = _NONE_VARIED) -> dict[str, Array]:
         """All six constants, those in ``values`` (...) in place of the reference; see `complete_constants`.
 
-        Names in ``values`` that are no constants are left aside.
+        Names in ``values`` that are no constants are ignored.
         """
         return complete_constants(self._with(values), self.symmetry)
 
     def admissible(self, values: Mapping[str, ArrayLike]) -> NDArray[np.bool_]:
-        """True where constants are possible, with ``values`` (...) in place of the reference; (...)."""
+        """True where constants are admissible, with ``values`` (...) in place of the reference; (...)."""
         return is_admissible(self._with(values), self.symmetry)
 
     def margins(self, values: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
-        """By how much the constants with ``values`` (...) meet each constraint, (..., n_constraints)."""
+        """Constraint margins with ``values`` (...) in place of the reference, (..., n_constraints)."""
         return constraint_margins(self._with(values), self.symmetry)
 
     def with_constants(self, constants: Mapping[str, float]) -> Material:
-        """The material with other reference constants, of which those that its symmetry has are taken."""
+        """The material with other reference constants; only those that its symmetry has are used."""
         names = self.constants if self.isotropic else constants
         return replace(self, constants={name: constants[name] for name in names})
 
@@ -270,19 +270,19 @@ class Material:
 class Hybrid:
     """The materials of a hybrid laminate by name; the constant E1 of a material "c" is called "c.E1".
 
-    It answers what a `Material` answers, for all of them at once.
+    It has the interface of a `Material`, for all of them at once.
     """
 
     parts: Mapping[str, Material]
 
     @property
     def constants(self) -> Mapping[str, float]:
-        """Reference constants as they are given, Pa or dimensionless."""
+        """Reference constants as given, Pa or dimensionless."""
         return self._joined({name: part.constants for name, part in self.parts.items()})
 
     @property
     def sd(self) -> Mapping[str, float]:
-        """How well each is known, in the same unit, where given."""
+        """Standard deviation of each, in the same unit, where given."""
         return self._joined({name: part.sd for name, part in self.parts.items()})
 
     @property
@@ -297,7 +297,7 @@ class Hybrid:
 
     @property
     def isotropic(self) -> bool:
-        """A hybrid has directions, through its thickness at least."""
+        """False: a hybrid has directions, through its thickness at least."""
         return False
 
     @property
@@ -312,12 +312,12 @@ class Hybrid:
         )
 
     def admissible(self, values: Mapping[str, ArrayLike]) -> NDArray[np.bool_]:
-        """True where the constants of all materials are possible, see `Material.admissible`; (...)."""
+        """True where the constants of all materials are admissible, see `Material.admissible`; (...)."""
         each = (part.admissible(constants_of(values, name)) for name, part in self.parts.items())
         return np.asarray(reduce(np.logical_and, each))
 
     def margins(self, values: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
-        """By how much the constants meet each constraint, (..., n_constraints)."""
+        """Margins of the constraints, (..., n_constraints)."""
         each = [part.margins(constants_of(values, name)) for name, part in self.parts.items()]
         shape = np.broadcast_shapes(*(m.shape[:-1] for m in each))
         return np.concatenate([np.broadcast_to(m, (*shape, m.shape[-1])) for m in each], axis=-1)
@@ -383,15 +383,15 @@ class Measurement:
     frequency_sd : (n,) Hz, one for each; it overrules relative_std
     labels : n mode labels, "" where the mode is not known
     complete : no mode is missing from the list
-    missed_probability : of an incomplete list, that a mode in its range is not in it
-    false_peaks : expected number of its frequencies that are no mode; (n,) such as each of candidate peaks
-    mode_probability : (n,) of candidate peaks, before the plate model is asked; None of a list
-    test : the `ModalTest` that candidate peaks are of, None where there are no recordings
+    missed_probability : that a mode in the range of an incomplete list is missing from it
+    false_peaks : expected number of frequencies that are no mode; of candidate peaks (n,), like each of them
+    mode_probability : (n,) prior probability of candidate peaks to be modes; None for a list
+    test : the `ModalTest` of candidate peaks, None where there are no recordings
     scale_sd : relative standard deviation of the analyser's frequency scale, 0 where it is exact
     damping : (n,) ratios to critical damping, nan where not measured; None where none is
     shapes : of its modes, None where they were not measured
-    origin : the file that it was read from and what was made of it, "" for a list in the plate file
-    remarks : what in that file may be a slip, and what was done by hand, a sentence each
+    origin : the file it was read from and how it was used, "" for a list in the plate file
+    remarks : possible slips in that file, and changes by hand, a sentence each
     whole : the list with all its rows, None where none was left out
     """
 
@@ -421,7 +421,7 @@ class Measurement:
 
     @property
     def notices(self) -> tuple[Notice, ...]:
-        """What reading it left doubtful, and what is to be said of hits."""
+        """Doubts from reading it, and notices about its hits."""
         return (*as_written(self.remarks), *(() if self.test is None else self.test.notices))
 
     @property
@@ -438,7 +438,7 @@ class Measurement:
 
     @property
     def sd_source(self) -> str:
-        """What ``frequency_sd`` is made of: stated in the plate file, or the hits of another file."""
+        """The source of ``frequency_sd``: the plate file, or the hits of another file."""
         if not self.origin:
             return "the stated frequency_sd_hz"
         stated = "" if self.relative_std is None else f"the stated {100.0 * self.relative_std:.2g} % and "
@@ -446,7 +446,7 @@ class Measurement:
 
     @property
     def names_modes(self) -> bool:
-        """Whether labels or shapes say of some frequencies which mode they are."""
+        """Whether labels or shapes identify the modes of some frequencies."""
         return any(self.labels) or self.shapes is not None
 
     @property
@@ -455,14 +455,14 @@ class Measurement:
         return int(self.frequencies.size)
 
     def of_rows(self, rows: Sequence[int] | NDArray[np.intp]) -> Measurement:
-        """The frequencies of some rows, numbers from 0 in this order, with what belongs to each."""
+        """The measurement with some rows only, numbers from 0, in this order."""
         of_each = ("frequencies", "frequency_sd", "damping", "mode_probability", "false_peaks")
         values = {name: getattr(self, name) for name in of_each}
         chosen: dict[str, Any] = {name: v[rows] for name, v in values.items() if isinstance(v, np.ndarray)}
         return replace(self, **chosen, labels=tuple(self.labels[i] for i in rows))
 
     def without(self, rows: Collection[int]) -> Measurement:
-        """The list without rows, numbers from 0; it may lack modes then, unless its last ones go."""
+        """The list without rows, numbers from 0; it is incomplete then, unless only its last ones go."""
         kept = [i for i in range(self.size) if i not in rows]
         complete = self.complete and kept == list(range(len(kept)))
         return replace(self.of_rows(kept), complete=complete, whole=self)
@@ -474,7 +474,7 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Specimen:
-    """One plate under one test, with what is to be identified.
+    """One plate under one test, with its unknowns.
 
     name : of this file.
     specimen : of the plate itself, shared by its tests
@@ -483,8 +483,8 @@ class Specimen:
     angle_grid_deg : step of the grid of unknown ply angles
     air_density : kg/m3, None for vacuum
     notes : remarks to show beside results
-    certificate : laboratory, operator and date of the test, those that the file gives
-    sequence_layup : the layup with unknown angles that the question `sequence` takes, where there is one
+    certificate : laboratory, operator and date of the test, as far as the file gives them
+    sequence_layup : the layup with unknown angles for the question `sequence`, where there is one
     """
 
     name: str
@@ -508,7 +508,7 @@ class Specimen:
         return replace(self, plate=replace(self.plate, layup=self.sequence_layup))
 
     def with_exact_sizes(self) -> Specimen:
-        """The specimen with sizes, mass and frequency scale as the file has them, without tolerances."""
+        """The specimen with sizes, mass and frequency scale as in the file, without tolerances."""
         exact = dict.fromkeys(self.plate.sizes, 0.0)
         measurement = self.measurement and replace(self.measurement, scale_sd=0.0)
         return replace(self, plate=replace(self.plate, sd=exact), measurement=measurement)

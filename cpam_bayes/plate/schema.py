@@ -1,6 +1,6 @@
-"""The plate file as strict models: names, types and ranges of single values, and what is said of a wrong one.
+"""The plate file as strict models: names, types and ranges of single values, and messages about wrong ones.
 
-What relates several values is in checks.py. The description of a field is what an error says is accepted.
+Relations between values are in checks.py. Error messages quote the description of a field as accepted.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from cpam_bayes.plate.edges import STATED
 from cpam_bayes.plate.laminate import MaterialSymmetry
 from cpam_bayes.plate.text import MAX_SHOWN, KeyPath, Problem, received
 
-# More frequencies than modes are computed, and more masses than a plate is hung with, are a slip.
+# More frequencies than modes are computed, or more masses than a plate carries in a test, are a slip.
 MAX_FREQUENCIES: Final = 100
 _MAX_SENSORS: Final = 100
 _MAX_PLY_KINDS: Final = 100
 _MAX_NOTES: Final = 1000
-# A table with more unknown keys than this is none of a plate.
+# A table with more unknown keys than this is not of a plate file.
 _MAX_RESPELT: Final = 20
 # Beyond these, areas and masses would overflow or vanish.
 _SMALLEST: Final = 1e-12
@@ -53,7 +53,7 @@ Poisson = Annotated[float, _finite("a number, Poisson's ratio")]
 Spread = Annotated[float, _positive("")]
 SizeSpread = Annotated[float, _not_negative("a number above 0, or 0 for a size that is exact")]
 Place = Annotated[float, _not_negative("a number, in mm from the corner x = y = 0")]
-# No control, formatting or line characters: texts are printed as they stand.
+# No control, formatting or line characters: texts are printed as they are.
 _PRINTABLE: Final = r"^[^\p{Cc}\p{Cf}\p{Zl}\p{Zp}]*$"
 Text = Annotated[
     str,
@@ -147,7 +147,7 @@ Step = Annotated[
 
 
 class PlyModel(_Table):
-    """A table [[ply]]: a ply that the layup calls by its name."""
+    """A table [[ply]]: a ply that the layup refers to by name."""
 
     name: Name
     material: Annotated[str, Field(description="a material M with a table [material.M]")] | None = None
@@ -161,7 +161,7 @@ Bounds = Annotated[
 
 
 class NormalModel(_Table):
-    """A truncated normal prior in [unknowns], before the cut."""
+    """A truncated normal prior in [unknowns], before truncation."""
 
     mean: Annotated[float, _finite("a number")]
     sd: Spread
@@ -174,7 +174,7 @@ def _form(value: object) -> str | None:
     return "normal" if isinstance(value, dict | NormalModel) else None
 
 
-# The names of the two forms stand in pydantic's locations, not in the file.
+# The names of the two forms occur in pydantic's locations, not in the file.
 _TAGS: Final = ("bounds", "normal")
 
 PriorModel = Annotated[
@@ -251,7 +251,7 @@ class SensorModel(_Table):
 
 
 class ColumnsModel(_Table):
-    """The table [measurement.columns]: the heads of a table of modes or peaks."""
+    """The table [measurement.columns]: the headings of a table of modes or peaks."""
 
     mode: Text | None = None
     label: Text | None = None
@@ -426,10 +426,10 @@ def validated(data: Mapping[str, Any]) -> tuple[PlateFile | None, list[Problem]]
 
 
 def respelt(data: Mapping[str, Any]) -> tuple[dict[str, Any], dict[KeyPath, str]]:
-    """The file with the keys that were meant, and the unknown ones with the known key of each.
+    """The file with misspelt keys corrected, and these keys with the known key of each.
 
-    A key is meant where an unknown one is next to it and the table lacks it: what it holds is then checked
-    under its name, so that one slip is one problem.
+    An unknown key is taken for the most similar known one that the table lacks; its value is then checked
+    under that name, so that one slip is one problem.
     """
     changed: dict[KeyPath, str] = {}
     return _respelt(data, (), changed), changed
@@ -456,7 +456,7 @@ def _respelt(table: Mapping[str, Any], path: KeyPath, changed: dict[KeyPath, str
 
 
 def _nearest(key: str, known: Sequence[str], path: KeyPath, value: object) -> str:
-    """The known key that one stands for: its own, the next one, of a table that with its keys; or itself."""
+    """The known key that one stands for: itself, the most similar, or for a table that with the same keys."""
     if key in known:
         return key
     if not path:  # tables are tables
@@ -501,7 +501,7 @@ def _unknown_key(path: KeyPath, value: object) -> str:
 
 
 def _path(location: tuple[int | str, ...]) -> KeyPath:
-    """Pydantic's location without the names of the forms of tables and of priors."""
+    """Pydantic's location without the tags of the forms of tables and priors."""
     table, form = location[:1], location[1:2]
     if form not in ((_OF_ALL,), (_OF_EACH,)):
         return location

@@ -1,8 +1,8 @@
-"""A posterior as `identify --out DIR` stores it: draws in SI, and the prior that they make.
+"""A posterior stored by `identify --out DIR`: its draws in SI, and the prior made from them.
 
 `[material] posterior` of a plate file names one, of a former plate of the material. The prior is that
-posterior within the bounds of [unknowns], a Gaussian copula: moduli are log-normal, for they are positive and
-errors of thickness and density multiply them; Poisson's ratio, which may be about zero, is normal.
+posterior within the bounds of [unknowns], a Gaussian copula: moduli are log-normal, being positive and
+scaled by errors of thickness and density; Poisson's ratio, which may be about zero, is normal.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ class StoredPosterior:
     """Draws of the constants of a plate.
 
     source : the file, or the name of the plate
-    draws : name -> (n_draws,) SI; constants, sizes and the noise, those that varied
+    draws : name -> (n_draws,) SI; the constants, sizes and noise that varied
     plate, specimen : names of the plate that was measured
     symmetry : of its material, "" where the file does not say
-    held : constants that the plate file gave and that did not vary, SI
+    held : constants held at the values of the plate file, SI
     repeatability : relative standard deviation of a measured frequency where it was given, else None
-    outline : length, width and thickness of the plate file, m, as far as they are there
+    outline : length, width and thickness in the plate file, m, as far as they are given
     """
 
     source: str
@@ -76,7 +76,7 @@ class StoredPosterior:
         return tuple(name for name in self.draws if name in USUAL_SD)
 
     def thinned(self, most: int) -> StoredPosterior:
-        """So many draws at most, at even distances."""
+        """The posterior with at most this many draws, evenly spaced."""
         if self.size <= most:
             return self
         at = np.linspace(0, self.size - 1, most).round().astype(int)
@@ -106,7 +106,7 @@ def _opened(path: Path) -> Any:
 
 
 def stored_posterior(data: Any, source: str) -> StoredPosterior:
-    """The draws among the groups of a posterior; source : what they are called in messages.
+    """The draws in the groups of a posterior; source : its name in messages.
 
     raises ValueError if there are no draws of elastic constants, or broken ones
     """
@@ -158,34 +158,34 @@ def _held(attrs: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _in_order(names: Iterable[str]) -> list[str]:
-    """The names of a plate file among some, those of each material in the file's order."""
+    """Those of the names that a plate file has, for each material in the file's order."""
     order = list(USER_UNITS)
     known = (name for name in names if split_name(name)[1] in order)
     return sorted(known, key=lambda name: order.index(split_name(name)[1]))
 
 
 FormerPriors = Mapping[str, tuple[Prior, Coupled]]
-"""Prior of each unknown that a former posterior knows, by its name in the file, and its place among them."""
+"""Prior and place among the coupled ones, for each unknown of a former posterior by its name in the file."""
 
-# Draws within the bounds, at least, that correlations are taken from.
+# Least number of draws within the bounds that correlations are taken from.
 _FEWEST = 100
-# A bound that is so many standard deviations off cuts nothing.
+# A bound this many standard deviations away cuts nothing.
 _FAR = 5.0
-# Widest normal density, ranges of its bounds, and its centre, scales from the mean: beyond them it is flat or
-# exponential, whichever it is.
+# Largest scale of the normal density, in ranges of its bounds, and distance of its centre from the mean, in
+# scales: beyond them it is flat or exponential in any case.
 _WIDEST, _OUTERMOST = 3.0, 25.0
-# Scores are cut here, and variances of scores that are one quantity are made larger by this.
+# Scores are clipped here; the ridge regularises the correlation of scores that coincide.
 _MAX_SCORE, _RIDGE = 7.0, 1e-9
 
 
 def with_former_posteriors(
     data: Data, directory: Path | None
 ) -> tuple[dict[str, Any], dict[str, FormerPriors], list[Problem]]:
-    """A plate file with the reference constants that it leaves to former posteriors, and the priors of these.
+    """A plate file completed with reference constants from former posteriors, their priors, and problems.
 
-    The priors are by the name of the material, "" where there is but one.
+    The priors are by the name of the material, "" where there is only one.
 
-    directory : where relative paths begin
+    directory : base of relative paths
     """
     data, priors, problems = dict(data), dict[str, FormerPriors](), list[Problem]()
     material, unknowns = table(data, "material"), table(data, "unknowns")
@@ -203,7 +203,7 @@ def with_former_posteriors(
 def _of_material(
     name: str, material: Data, unknowns: Data, directory: Path | None
 ) -> tuple[Data, FormerPriors, list[Problem]]:
-    """A table [material] with what it lacks, the priors of its [unknowns], and what is wrong with them."""
+    """A table [material] with its gaps filled, the priors of its [unknowns], and their problems."""
     key, file = ("material", "posterior"), material.get("posterior")
     if not isinstance(file, str) or not file:
         return material, {}, []
@@ -251,9 +251,9 @@ def _of_material(
 
 
 def _priors(source: str, draws: Mapping[str, Array], bounds: Mapping[str, list[float]]) -> FormerPriors:
-    """The draws within the bounds as a prior; in the units of the plate file, and made SI.
+    """Priors in SI from the draws within the bounds, both in the units of the plate file.
 
-    Raises ``ValueError`` where the bounds leave too few of them, or a constant does not vary.
+    Raises ``ValueError`` where the bounds leave too few draws, or a constant does not vary.
     """
     every = np.column_stack(list(draws.values()))
     lower, upper = np.array([bounds[key] for key in draws]).T
@@ -280,14 +280,14 @@ def _priors(source: str, draws: Mapping[str, Array], bounds: Mapping[str, list[f
 
 
 def _matched(key: str, draws: Array, lower: float, upper: float) -> Prior:
-    """The density whose mean and sd between the bounds, of ln x for a modulus, are those of draws."""
+    """The density whose mean and sd between the bounds, of ln x for a modulus, match those of the draws."""
     logged = key != "nu12"
     x = np.log(draws) if logged else draws
     low, high = (math.log(lower), math.log(upper)) if logged else (lower, upper)
     mean, sd = float(x.mean()), float(x.std())
     loc, scale = mean, sd
     if min(mean - low, high - mean) < _FAR * sd:
-        # what a bound cuts was wider, or about elsewhere
+        # a density that a bound cuts was wider, or centred elsewhere
         def missed(at: Array) -> Array:
             width = float(np.exp(at[1]))
             cut = TruncatedNormal(mean + at[0] * width, width, low, high)

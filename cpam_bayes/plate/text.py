@@ -1,8 +1,8 @@
-"""Texts of plate files: opened whatever the path turns out to be, parsed, understood; what is wrong there.
+"""Texts of plate files: opened safely, parsed, their values converted; and their errors.
 
 Values as users write them become those of the schema: numbers with units or commas, edges in words, lists.
-Only what can mean one thing is changed; all else is left to the schema, which refuses it. What is wrong is a
-`Problem` with its place; all problems of a file are one error.
+Only unambiguous values are converted; the schema refuses all others. An error is a `Problem` with its place;
+all problems of a file are raised together.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Data = Mapping[str, Any]
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 _MAX_PROBLEMS: Final = 100
-# Names of a directory among which one that was meant is looked for.
+# Most names of a directory that are compared with the one given.
 _MOST_BESIDE: Final = 1000
 # Items of a list that a message shows.
 MAX_SHOWN: Final = 6
@@ -39,12 +39,12 @@ MAX_SHOWN: Final = 6
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One thing that is wrong: where in the file, and a phrase that says it all, or what makes the phrase.
+    """One error: its place in the file, and a phrase or a function that makes the phrase.
 
-    A file can be wrong in ten thousand places; only what is shown is put in words.
+    A file can have ten thousand errors; only those shown are put in words.
 
-    is_gap : whether something is missing and nothing wrong
-    choices : heads of a table, one of which has the frequencies
+    is_gap : whether something is only missing
+    choices : headings of a table, one of which has the frequencies
     """
 
     path: KeyPath
@@ -53,13 +53,13 @@ class Problem:
     choices: tuple[str, ...] = ()
 
     def of_material(self, name: str) -> Problem:
-        """The same thing, found in a file that was looked at as if it had this material alone."""
+        """The problem at its place in the file; it was found as if this material were the only one."""
         if not name or self.path[0] not in ("material", "unknowns"):
             return self
         return Problem((self.path[0], name, *self.path[1:]), self.what, self.is_gap)
 
     def under(self, misspelt: Mapping[KeyPath, str]) -> Problem:
-        """The same thing at the keys that the file has; misspelt : these -> the known key of each."""
+        """The problem at the keys that the file has; misspelt : these -> the known key of each."""
         for path, known in misspelt.items():
             n = len(path)
             if self.path[:n] == (*path[:-1], known):
@@ -84,7 +84,7 @@ def plate_file_error(
     )
     said: dict[str, bool] = {}
     found = []
-    # what is wrong with a list is said of the first of its items
+    # errors of a list are reported for the first of its items
     of_list = Counter(problem.path[:-1] for _, problem in located if isinstance(problem.path[-1], int))
     for i, (line, problem) in enumerate(located):
         if len(said) == _MAX_PROBLEMS:
@@ -106,7 +106,7 @@ def plate_file_error(
 
 
 def received(value: object) -> str:
-    """A value as it may stand in a message: short, one line, printable."""
+    """A value as shown in a message: short, one line, printable."""
     short = reprlib.Repr()
     short.maxstring = short.maxother = short.maxlong = 60
     short.maxlevel = 2
@@ -119,7 +119,7 @@ def received(value: object) -> str:
 
 
 def and_more(count: int, what: str) -> str:
-    """The words for as many more of what a message is about."""
+    """The words for this many more of the same in a message."""
     return (
         f"; so {'are' if count > 1 else 'is'} {count} more {what}{'s' if count > 1 else ''}" if count else ""
     )
@@ -151,12 +151,12 @@ def table(data: Data, *path: str) -> Data:
 
 
 def number(source: Data, key: str) -> float | None:
-    """A finite number of a table, None when it is missing or no such number."""
+    """A finite number in a table, None where it is missing or something else."""
     return real(source.get(key))
 
 
 def real(value: object) -> float | None:
-    """A value as a finite number, None when it is none."""
+    """A value as a finite number, None if it is not one."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     try:
@@ -167,7 +167,7 @@ def real(value: object) -> float | None:
 
 
 def numbers(source: Data, key: str) -> list[float] | None:
-    """A list of finite numbers of a table, None when it is missing or no such list."""
+    """A list of finite numbers in a table, None where it is missing or something else."""
     values = source.get(key)
     if not isinstance(values, list):
         return None
@@ -181,8 +181,8 @@ MAX_BYTES: Final = 250_000
 def read_regular_file(path: str, source: str, accepted: str, most: int = MAX_BYTES) -> bytes:
     """The content of a file of at most ``most`` bytes.
 
-    source : how messages name the file
-    accepted : what it should have been, for messages
+    source : name of the file in messages
+    accepted : what the file should be, for messages
     raises FileNotFoundError where there is none, PlateFileError where it cannot be read
     """
     try:
@@ -207,10 +207,10 @@ def read_regular_file(path: str, source: str, accepted: str, most: int = MAX_BYT
 def read_named_file(
     key: KeyPath, name: str, directory: Path | None, accepted: str, most: int = MAX_BYTES
 ) -> tuple[bytes | None, list[Problem]]:
-    """The content of a file that a plate file names under a key, or what is wrong with it.
+    """The content of a file that a plate file names under a key, or its problems.
 
-    directory : where relative paths begin
-    accepted, most : as of `read_regular_file`
+    directory : base of relative paths
+    accepted, most : as in `read_regular_file`
     """
     path = Path(name) if directory is None else directory / name
     try:
@@ -227,7 +227,7 @@ def read_named_file(
 
 
 def nearest_file(path: Path) -> str:
-    """The name beside a path that is next to its own, "" for none."""
+    """The most similar name of a file beside a path, "" for none."""
     try:
         beside = [Path(other) for other in itertools.islice(os.listdir(path.parent), _MOST_BESIDE)]
     except (OSError, ValueError):
@@ -252,7 +252,7 @@ def _too_large(source: str, size: str, most: int) -> str:
 
 
 def decode(content: bytes, source: str) -> str:
-    """The text of a plate file, UTF-8 or UTF-16; raises PlateFileError where it is none."""
+    """The text of a plate file, UTF-8 or UTF-16; raises PlateFileError where it is not text."""
     content = as_utf_8(content)
     if b"\0" in content:
         raise PlateFileError(f"{source}: a binary file, accepted: a TOML text")
@@ -267,9 +267,9 @@ def decode(content: bytes, source: str) -> str:
 
 
 def as_utf_8(content: bytes) -> bytes:
-    """The content of a text file, of one in UTF-16, with or without its mark, in UTF-8."""
+    """The content of a text file in UTF-8; UTF-16, with or without byte order mark, is converted."""
     marked = content.startswith((b"\xff\xfe", b"\xfe\xff"))
-    # without a mark: Latin letters have a zero beside them
+    # without a mark: Latin letters have a zero byte beside them
     little = not marked and 2 * content[1::2].count(0) > len(content[1::2])
     if len(content) % 2 or not (marked or little):
         return content
@@ -283,9 +283,9 @@ _PLACE = re.compile(r"\s*\(at (?:line (\d+), column (\d+)|end of document)\)$")
 
 
 def parse(text: str, source: str, is_sealed: bool = False) -> Mapping[str, Any]:
-    """The content of a TOML text; raises PlateFileError with the line of what is no TOML.
+    """The content of a TOML text; raises PlateFileError with the line that is not TOML.
 
-    is_sealed : nothing of the text is shown
+    is_sealed : messages show nothing of the text
     """
     for number, line in enumerate(text.split("\n"), start=1):
         if line.count(".") > _MAX_KEY_PARTS:
@@ -312,11 +312,11 @@ def parse(text: str, source: str, is_sealed: bool = False) -> Mapping[str, Any]:
         raise PlateFileError(f"{source}:1: file: not valid TOML: {error}") from None
 
 
-# Whole numbers in pairs, parted by commas and spaces: 80,2, 146,3.
+# Whole numbers in pairs, separated by commas and spaces: 80,2, 146,3.
 _DECIMAL_COMMAS: Final = re.compile(
     r"^[ \t]*(\w+_(?:hz|GPa)|nu12)[ \t]*=\s*(\[\s*(\d+),(\d+)(?:,\s+\d+,\d+)+,?\s*\])", re.MULTILINE
 )
-# What a line has that is no TOML, and the cure with its own words.
+# Patterns in lines that are not TOML, and the advice in the line's own words.
 _SLIPS: Final = (
     (re.compile(r"^[^\"'#]*([\"'])(?:(?!\1).)*$"), "; a quote is missing: a text begins and ends with one"),
     (re.compile(r"=\s*(\d{1,2}\.\d{1,2}\.\d{2,4})\b"), r'; a date stands in quotes: "\1"'),
@@ -366,7 +366,7 @@ _SLIPS: Final = (
 )
 
 
-# The same by the words of the parser.
+# The same by the message of the parser.
 _TOLD: Final = (
     (re.compile("^Cannot"), "; a key and a table stand once"),
     (re.compile("^Unclosed array"), "; is a ] missing, here or above?"),
@@ -403,7 +403,7 @@ _STRINGS: Final = (
 def line_numbers(text: str) -> dict[KeyPath, int]:
     """The line, from 1, of each table, key and array element of a text that is valid TOML.
 
-    A path holds keys, and positions in arrays: ("sensor", 0, "mass_g"). Of a text that is not
+    A path holds keys, and positions in arrays: ("sensor", 0, "mass_g"). For a text that is not
     valid, or nested beyond Python's recursion, the result covers what was reached.
     """
     scan = _Scan(text)
@@ -567,34 +567,31 @@ UNITS: Final[Mapping[str, Mapping[str, float]]] = {
     "std": {"%": 0.01},
     "nu12": {},
 }
-"""Ending of a key -> the units that a text may have instead, and their factor; the first that fits counts."""
+"""Suffix of a key -> the units that a text may have instead, and their factors; the first match counts."""
 _LISTS: Final = ("frequencies_hz", "frequency_sd_hz")
 _LAYUPS: Final = ("layup", "sequence_layup")
 _NUMBER: Final = re.compile(r"\s*([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?)\s*(\S.*?)?\s*")
-# As many digits after a comma as thousands have, and a number before it: 1,234 may be either.
+# Three digits after a comma and a number before it: 1,234 may be either.
 _THOUSANDS: Final = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 # Between numbers: spaces, a semicolon, a comma before a space, a sign of multiplication.
 _BETWEEN: Final = re.compile(r"(?:\s*[;x*\N{MULTIPLICATION SIGN}]\s*|,?\s+)", re.IGNORECASE)
-# Tables in tables of a plate file, and its priors, are no deeper.
+# Largest depth of tables within tables, and of priors, in a plate file.
 _DEEPEST: Final = 5
 
 
 def number_of(text: str, units: Mapping[str, float] | None = None) -> float | None:
-    """A number with a point or a comma and perhaps a unit; None where it is none, or may be two."""
+    """A number with a decimal point or comma and perhaps a unit; None if it is not one, or ambiguous."""
     match = _NUMBER.fullmatch(text)
     if match is None or _THOUSANDS.fullmatch(match[1]):
         return None
     factor = 1.0 if match[2] is None else (units or {}).get(match[2].casefold())
     value = float(match[1].replace(",", "."))
-    # 9.8 mm are no 9.799999999999999 mm: a factor below 1 divides
+    # 9.8 mm must not be 9.799999999999999 mm: a factor below 1 divides
     return None if factor is None else value * factor if factor >= 1.0 else value / round(1.0 / factor)
 
 
 def numbers_of(text: str) -> tuple[float, ...] | None:
-    """Numbers with points or, all of them, with commas; None for anything else.
-
-    One number alone with a comma may be two.
-    """
+    """Numbers, all with points or all with commas; None for anything else, or for one with a comma."""
     parts = _BETWEEN.split(text.strip())
     if ("." in text and any("," in part for part in parts)) or (len(parts) == 1 and "," in text):
         return None
@@ -603,7 +600,7 @@ def numbers_of(text: str) -> tuple[float, ...] | None:
 
 
 def understood(data: Mapping[str, Any], depth: int = 0) -> dict[str, Any]:
-    """The content of a plate file, or of a table in it, with the values that the schema has for them."""
+    """The content of a plate file, or of a table in it, with its values as in the schema."""
     return {key: _value(key, value, depth) for key, value in data.items()} if depth < _DEEPEST else dict(data)
 
 
@@ -627,7 +624,7 @@ def _value(key: str, value: Any, depth: int) -> Any:
 
 
 def _numbers(value: Any, units: Mapping[str, float]) -> Any:
-    """A number, a list of numbers or a prior."""
+    """A number, a list of numbers or a prior, with texts converted."""
     if isinstance(value, str):
         found = number_of(value, units)
         return value if found is None else found

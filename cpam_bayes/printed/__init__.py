@@ -1,1 +1,1 @@
-"""The paper's tables in the digits of the print, and its noise study."""
+"""The paper's tables in printed digits, and its noise study."""

@@ -3,16 +3,15 @@
 A list of frequencies is inverted by the particle swarm as it is, which gives the reference. Then
 noise of a level and an interpretation of eq. (12) is added to it, once for each group, every perturbed
 list is inverted, and the mean over the groups is compared with the reference. A swarm that demonstrably
-missed the minimum of eq. (7) is started anew: what is studied is the noise, not the luck of a search.
+missed the minimum of eq. (7) is restarted: the noise is studied, not the luck of a search.
 
 The paper takes the measured list. Where the plate model cannot fit that list, every inversion ends
-on bounds and says nothing about noise: the list that the model itself gives at the reference constants
-(`model_list`) is free of that.
+on bounds and says nothing about noise: the list that the model itself predicts at the reference
+constants (`model_list`) avoids that.
 
 The posterior is that of the list *without* added noise, with the noise's standard deviations taken as
-known. For a linear model it has the width of the inversions' scatter about the truth and is centred
-on the reference, as their mean is. One posterior then says what many inversions say, which is the claim
-that is tested here.
+known. For a linear model it is as wide as the inversions' scatter about the truth and centred on the
+reference, like their mean. The claim tested here is that one posterior then says as much as many inversions.
 """
 
 from __future__ import annotations
@@ -62,11 +61,11 @@ ListSource = Literal["measured", "model"]
 
 # Enough draws for a mean and a standard deviation to 3 %, in few steps.
 ENSEMBLE_SETTINGS: Final = EnsembleSettings(walkers=24, round_steps=500, effective=1000.0, most_steps=10_000)
-# Swarms that look for the reference.
+# Number of swarms that search for the reference.
 _STARTS: Final = 10
-# A spread needs two groups.
+# A standard deviation needs two groups.
 _FEWEST_GROUPS: Final = 2
-# A constant is found again where it is this close, as a fraction of its search interval.
+# A constant is recovered where it is this close, as a fraction of its search interval.
 _FOUND_AGAIN = 1e-2
 
 
@@ -79,10 +78,10 @@ class Repetition:
     lists : (groups, n_modes) Hz.
     reordered : fraction of the lists in which modes changed places.
     redrawn : frequencies drawn again because they were not positive.
-    converged : swarms that did not end by their budget.
-    restarted : swarms that were started anew because one missed the minimum.
-    missed : lists on which none found it.
-    solves : forward solves.
+    converged : number of swarms that did not exhaust their budget.
+    restarted : number of swarms restarted because one missed the minimum.
+    missed : number of lists on which none found it.
+    solves : number of forward solves.
     """
 
     constants: Array
@@ -123,8 +122,8 @@ class Sensitivity:
     """The noise study of one plate.
 
     without_noise : the inversion of the list as it is, the reference of all percentages. starts,
-    found_again : swarms that were tried for it, and those that ended as well.
-    cells : for each level in turn, one a reading.
+    found_again : number of swarms tried for it, and of those that ended equally well.
+    cells : for each level in turn, one per reading.
     """
 
     specimen: Specimen
@@ -138,14 +137,14 @@ class Sensitivity:
 
     @property
     def reference(self) -> Array:
-        """Constants found without noise, (n,)."""
+        """Constants identified without noise, (n,)."""
         return np.array([c.value for c in self.without_noise.constants])
 
 
 def model_list(
     specimen: Specimen, n_modes: int, notify: Callable[[str], None] = lambda text: None
 ) -> Specimen:
-    """The specimen with the frequencies that its own model gives at its reference constants.
+    """The specimen with the frequencies that its own model predicts at its reference constants.
 
     Raises ``ValueError`` if these are not inside the search bounds.
     """
@@ -181,16 +180,15 @@ def noise_study(
 ) -> Sensitivity:
     """Repeat the inversion of a specimen's list with noise, and sample its posterior at that noise.
 
-    The reference is the best of several swarms: one alone can end in a wrong optimum, and all
-    percentages with it.
+    The reference is the best of several swarms: a single one can end in a wrong optimum and spoil all
+    percentages.
 
-    source : where the list comes from, for the record (`model_list` makes the other one).
-    specimen : with a list without gaps.
+    source : origin of the list, for the record (`model_list` makes a "model" list).
+    specimen : with a complete list.
     levels : of noise, as fractions, above 0; groups : 2 or more. The random numbers of a noisy list depend
-    on the seed, the level, the reading and the number of its group alone: neither other levels nor workers
-    change it.
+    only on the seed, the level, the reading and the number of its group, not on other levels or on workers.
 
-    Raises ``ValueError`` as ``estimate_constants`` does.
+    Raises ``ValueError`` like ``estimate_constants``.
     """
     start = time.perf_counter()
     measurement, unknowns = required(specimen)
@@ -214,7 +212,7 @@ def noise_study(
         seed=seed,
     )
     pairs = [(level, reading) for level in dict.fromkeys(levels) for reading in dict.fromkeys(readings)]
-    # the longest first, so that no worker begins one at the end
+    # the longest first, so that none is started at the end
     items = [InversionTask(*pair, POSTERIOR) for pair in pairs]
     items += [InversionTask(*pair, group) for group in range(groups) for pair in pairs]
     notify("inverting noisy lists and sampling posteriors")
@@ -255,7 +253,7 @@ def noise_study(
 def _best_start(
     problem: InverseProblem, frequencies: Array, seed: int, executor: Executor | None
 ) -> tuple[int, int]:
-    """The seed whose swarm ends best among several, and how many of them end as well."""
+    """The seed of the best of several swarms, and the number of them that end equally well."""
     others = (np.random.SeedSequence([seed, k]).generate_state(1)[0] for k in range(1, _STARTS))
     seeds = [seed, *(int(other) for other in others)]
     values = run(swarm_value, (problem, frequencies), seeds, executor)
@@ -264,7 +262,7 @@ def _best_start(
 
 
 def _plain(specimen: Specimen, measurement: Measurement) -> Specimen:
-    """The specimen with a list that is paired in its order, and sizes known exactly, as in the paper."""
+    """The specimen with a list paired in ascending order, and sizes known exactly, as in the paper."""
     unlabelled = replace(measurement, labels=("",) * measurement.size, shapes=None)
     return replace(specimen, measurement=unlabelled, plate=replace(specimen.plate, sd={}))
 
@@ -284,7 +282,7 @@ def _collect(inversions: Sequence[Inversion]) -> Repetition:
 
 
 def _complete_groups(results: Mapping[int, object], n_pairs: int) -> int:
-    """Number of the first groups that were inverted for all pairs, whose posteriors were sampled."""
+    """Number of leading groups that were inverted for all pairs, if all posteriors were sampled."""
     first = next(index for index in count() if index not in results)
     return max(first // n_pairs - 1, 0)
 
@@ -321,7 +319,7 @@ def _comparisons(
 
 
 def own_table(specimen: Specimen) -> PrintedTable | None:
-    """The paper's table of a built-in specimen: a file of the same name is another plate."""
+    """The paper's table of a built-in specimen, None otherwise: a file of the same name is another plate."""
     is_own = specimen.source == f"built-in {specimen.name}"
     return perturbation_table(specimen.name) if is_own else None
 
@@ -354,7 +352,7 @@ def _of_the_list(result: Sensitivity) -> Iterator[Notice]:
 
 
 def _of_cell(cell: Cell, groups: int) -> Iterator[Notice]:
-    """Notices against a level of noise by one reading."""
+    """Notices about a level of noise by one reading."""
     at = {"level": cell.level, "reading": cell.reading, "noise_sd": float(cell.noise_sd[0])}
     found = cell.repetition
     if found.missed:
@@ -370,7 +368,7 @@ def _of_cell(cell: Cell, groups: int) -> Iterator[Notice]:
 
 
 def _left_aside(result: Sensitivity) -> Iterator[Notice]:
-    """Notices of entries of the plate file that a noise study does not use."""
+    """Notices of entries in the plate file that a noise study does not use."""
     specimen = result.specimen
     if specimen.plate.sd:
         yield Notice("sizes_exact", facts={"names": tuple(specimen.plate.sd)})
@@ -383,5 +381,5 @@ def _left_aside(result: Sensitivity) -> Iterator[Notice]:
 
 
 def level_percent(level: float) -> float:
-    """A level as it was written, without the rounding of a division by 100."""
+    """A level in percent as written, without the rounding of a division by 100."""
     return round(100.0 * level, 10)

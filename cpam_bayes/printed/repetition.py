@@ -1,8 +1,8 @@
-"""Inversions of noisy lists beside a posterior: one task of a noise study, and whether both agree.
+"""Inversions of noisy lists beside a posterior: single tasks of a noise study, and the test of agreement.
 
-In a linear model with Gaussian noise and distant bounds, inversions that weigh the frequencies by their noise
-scatter about the truth exactly as wide as the posterior is. Each `Cause` of a difference breaks one of these
-conditions, and each has a number that says whether it does.
+In a linear model with Gaussian noise and distant bounds, inversions that weight the frequencies by their
+noise scatter about the truth exactly as widely as the posterior. Each `Cause` of a difference violates one
+of these conditions, and each has a number that shows whether it does.
 """
 
 from __future__ import annotations
@@ -34,43 +34,42 @@ Cause = Literal[
     "missed", "bounds", "open", "optima", "skewed", "reordered", "weights", "misfit", "stopped", "unexplained"
 ]
 
-# Groups of values are apart where the gap between them is so many times their width.
+# Groups of values are separate where the gap between them is this many times their width.
 _GAP: Final = 3.0
 Interpretation = Literal["relative", "rms"]
 INTERPRETATIONS: Final[tuple[Interpretation, ...]] = get_args(Interpretation)
-# Draws for one frequency before a list is given up: at the largest level that is accepted more than
-# half of all draws are positive.
+# Most draws for one frequency before a list is given up: at the largest level accepted more than half of all
+# draws are positive.
 _MAX_DRAWS = 1000
-# A constant this close to a bound, as a fraction of the search interval, sits on it; draws count
-# as next to a bound from further away, since a density has no point on it.
+# A constant this close to a bound, as a fraction of the search interval, is on it; draws count as next to
+# a bound from further away, since a density has no point on it.
 _ON_BOUND, _NEXT_TO_BOUND = 1e-3, 1e-2
 # Streams of random numbers of one group.
 _NOISE, _SWARM = 0, 1
-# Swarms on one list before it is given up, and what two that found the same leave between them.
+# Most swarms on one list before it is given up, and the tolerance within which two found the same.
 _MAX_SWARMS, _LEFT_BY_SWARM = 5, 5e-4
-# Steps to the most likely constants at most, and the gain, nats, that ends them.
+# Most steps to the most probable constants, and the gain, nats, that ends them.
 _STEPS, _PROMISED = 60, 1e-9
-# In place of the number of a group, for the posterior.
+# The posterior's value in place of a group number.
 POSTERIOR = 2**32 - 1
 
 
 # Probability of a false alarm of either test of agreement.
 _FALSE_ALARM: Final = 0.01
-# Fraction of the inversions, or of the posterior's draws, that sit on a bound, from which bounds count.
+# Fraction of the inversions, or of the posterior's draws, at a bound, from which bounds count.
 _AT_BOUND: Final = 0.1
-# Posterior sd over prior sd from which the interval rather than the data gives the width.
+# Posterior sd over prior sd from which the interval rather than the data determines the width.
 _OPEN: Final = 0.5
-# Skewness of a posterior beyond which its mean is not where its best value is: a Gaussian's is 0, an
-# exponential's 2.
+# Skewness of a posterior beyond which its mean is not at its mode: a Gaussian's is 0, an exponential's 2.
 _SKEWED: Final = 0.5
 # Fraction of inversions that are worse than the constants found without noise.
 _MISSED: Final = 0.1
 # Fraction of the perturbed lists in which modes changed places.
 _REORDERED: Final = 0.2
-# Linearised sd of the minimum of eq. (7) over that of the posterior from which its weights count.
+# Linearised sd of the minimum of eq. (7) over that of the posterior from which its weights matter.
 _WEIGHTS: Final = 1.25
-# Distance between the inversion without noise and the posterior's best, in posterior sd, that is due to
-# residuals of the list if their rms is above so many sd of the noise, else to a swarm that stopped early.
+# Distance of the inversion without noise from the posterior's mode, in posterior sd, that is due to residuals
+# of the list if their rms is above this many sd of the noise, else to a swarm that stopped early.
 _OFFSET, _RESIDUAL = 0.3, 0.1
 
 
@@ -80,14 +79,14 @@ class Evidence:
 
     groups : number of inversions; repetition_mean, repetition_sd : over these (sd with groups - 1).
     posterior_mean, posterior_sd, effective : of the posterior and its effective number of draws.
-    repetition_at_bound : inversions that ended on a bound.
-    posterior_at_bound : draws next to one.
+    repetition_at_bound : fraction of inversions that ended on a bound.
+    posterior_at_bound : fraction of draws next to one.
     clusters : of the inversions; peaks, skewness : of the posterior's density.
     contraction : posterior sd over prior sd.
     reordered : fraction of perturbed lists in which modes changed places.
     missed : fraction of inversions whose swarms did not find the minimum.
     weighting : linearised sd of the minimum of eq. (7) over that of the posterior.
-    offset : the inversion of the list without noise less the posterior's best, in posterior sd.
+    offset : the inversion of the list without noise less the posterior's mode, in posterior sd.
     residual : rms residual of that inversion over the noise's standard deviations.
     """
 
@@ -117,7 +116,7 @@ class Comparison:
     standard_error : of the mean over the groups, sd / sqrt(groups).
     shift : mean of the inversions less the posterior's, in combined standard errors.
     sd_ratio : their sd over the posterior's.
-    causes : empty where both agree within chance, "unexplained" where no number shows a cause.
+    causes : empty where both agree within chance, "unexplained" where no number indicates a cause.
     """
 
     standard_error: float
@@ -129,11 +128,11 @@ class Comparison:
 
 
 def compare(evidence: Evidence) -> Comparison:
-    """Test means and standard deviations against each other and list what can explain a difference.
+    """Test means and standard deviations against each other and list possible causes of a difference.
 
     Means: a t-test of the difference with groups - 1 degrees of freedom; standard deviations: an
     F-test of their squared ratio with groups - 1 and effective - 1; each with a false alarm in 1 %.
-    A cause is listed where its own number is beyond its threshold and it can act in that direction.
+    A cause is listed where its number exceeds its threshold and it can act in that direction.
     """
     n = evidence.groups
     error = evidence.repetition_sd / np.sqrt(n)
@@ -160,7 +159,7 @@ def _causes(evidence: Evidence, ratio: float, sds: bool) -> tuple[Cause, ...]:
         "optima": max(evidence.clusters, evidence.peaks) > 1,
         "skewed": abs(evidence.skewness) >= _SKEWED,
         "reordered": evidence.reordered >= _REORDERED,
-        # weights that are not the noise's can only widen the scatter
+        # weights other than the noise's can only widen the scatter
         "weights": not sds and ratio > 1.0 and evidence.weighting >= _WEIGHTS,
         "misfit": abs(evidence.offset) >= _OFFSET and evidence.residual >= _RESIDUAL,
         "stopped": abs(evidence.offset) >= _OFFSET and evidence.residual < _RESIDUAL,
@@ -169,10 +168,10 @@ def _causes(evidence: Evidence, ratio: float, sds: bool) -> tuple[Cause, ...]:
 
 
 def clusters(values: Array) -> int:
-    """Number of groups, one or two, that a few values (n,) fall into.
+    """Number of clusters, one or two, of a few values (n,).
 
-    Two where the widest gap that leaves at least two values on either side is more than three times
-    the standard deviation within the sides: draws of one Gaussian hardly ever do that.
+    Two where the widest gap with at least two values on either side is more than three times the
+    standard deviation within the sides, which is very rare for draws of one Gaussian.
     """
     x = np.sort(np.asarray(values, dtype=float))
     n = len(x)
@@ -185,7 +184,7 @@ def clusters(values: Array) -> int:
 
 
 def density_peaks(draws: Array, bins: int = 60) -> int:
-    """Number of separate peaks of the density that many draws (m,) come from.
+    """Number of separate peaks of the density of many draws (m,).
 
     A histogram between the 0.1 % and 99.9 % quantiles is smoothed with a Gaussian of two bins; two
     peaks of at least a tenth of the highest are separate where the density between them falls below half of
@@ -197,7 +196,7 @@ def density_peaks(draws: Array, bins: int = 60) -> int:
     width = 2.0
     kernel = np.exp(-0.5 * (np.arange(-8, 9) / width) ** 2)
     count, _ = np.histogram(draws, bins=bins, range=(low, high))
-    # what lies on a bound would leak out over it: the density is mirrored at both ends
+    # density at a bound would leak out over it: it is mirrored at both ends
     mirrored = np.concatenate((count[7::-1], count, count[:-9:-1])).astype(float)
     density = np.convolve(mirrored, kernel / kernel.sum(), mode="valid")
     # between zeros, the height of the highest peak counts in full
@@ -214,11 +213,10 @@ def skewness(draws: Array) -> float:
 
 @dataclass(frozen=True, slots=True)
 class PerturbedList:
-    """A perturbed list, in rising order as a laboratory writes it down.
+    """A perturbed list, in ascending order as a laboratory writes it down.
 
     frequencies : (n,) Hz.
-    reordered : whether two modes changed places, so that the i-th frequency is not the i-th mode's any
-    more.
+    reordered : whether two modes changed places, so that the i-th frequency is no longer the i-th mode's.
     redrawn : frequencies that were drawn again because they were not positive.
     """
 
@@ -231,10 +229,10 @@ def perturbation_sd(frequencies: Array, level: float, interpretation: Interpreta
     """Standard deviations of the noise added to frequencies (n,), Hz.
 
     Eq. (12) as printed, b = p_e / sqrt(n_s (sum omega_i)^2), has the unit of 1/frequency and cannot
-    be meant. Two interpretations have the unit of a frequency, p_e being the level as a fraction:
+    be right. Two interpretations have the unit of a frequency, p_e being the level as a fraction:
 
-    * "relative": b_i = p_e f_i, each frequency with its own standard deviation, as 1 % of noise is commonly
-      understood;
+    * "relative": b_i = p_e f_i, each frequency with its own standard deviation, the usual meaning of 1 % of
+      noise;
     * "rms": b = p_e sqrt(sum f_i^2 / n_s), one for all modes, the form of Liu and Han (Computational
       Inverse Techniques in Nondestructive Evaluation, 2003) that eq. (12) goes back to. The lowest
       modes then have a much larger relative noise than the highest.
@@ -247,7 +245,7 @@ def perturbation_sd(frequencies: Array, level: float, interpretation: Interpreta
 def perturbed_list(frequencies: Array, sd: Array, rng: np.random.Generator) -> PerturbedList:
     """A list (n,) with independent Gaussian noise of standard deviations sd (n,), Hz.
 
-    The paper makes the normal numbers by the Box-Muller transform, numpy by the ziggurat; both are normal.
+    The paper draws normal numbers by the Box-Muller transform, numpy by the ziggurat; both are normal.
 
     A frequency that would not be positive is drawn again. Raises ``ValueError`` where that does not
     end, for a frequency that is not positive itself.
@@ -297,7 +295,7 @@ class PosteriorSummary:
 
 @dataclass(frozen=True, slots=True)
 class InverseProblem:
-    """The problem that a list is inverted with. unknowns : with the known constants fixed in it."""
+    """The inverse problem of a list. unknowns : with the known constants held fixed."""
 
     model: ForwardModel
     unknowns: ParameterSet
@@ -307,7 +305,7 @@ class InverseProblem:
 
 @dataclass(frozen=True, slots=True)
 class Shared:
-    """The common input of all tasks. reference : (n,) constants found without noise."""
+    """The common input of all tasks. reference : (n,) constants identified without noise."""
 
     problem: InverseProblem
     measurement: Measurement
@@ -325,15 +323,15 @@ class InversionTask:
     group: int
 
     def seeds(self, seed: int) -> list[int]:
-        """Numbers that no other task has; the level counts in millionths."""
+        """Seeds unique to this task; the level counts in millionths."""
         return [seed, round(1e6 * self.level), INTERPRETATIONS.index(self.reading), self.group]
 
 
 @dataclass(frozen=True, slots=True)
 class Inversion:
-    """One noisy list and what the swarm found from it.
+    """One noisy list and its inversion by the swarm.
 
-    swarms : that were needed.
+    swarms : number that were needed.
     missed : whether even the last of them ended worse than the reference.
     """
 
@@ -349,19 +347,19 @@ class Inversion:
 
 
 def run_task(shared: Shared, task: InversionTask) -> Inversion | PosteriorSummary:
-    """Invert a noisy list or sample the posterior, as the task says; it depends on nothing else."""
+    """Invert a noisy list or sample the posterior, as the task requires, independently of other tasks."""
     return _sample(shared, task) if task.group == POSTERIOR else _invert(shared, task)
 
 
 @single_blas_thread
 def swarm_value(shared: tuple[InverseProblem, Array], seed: int) -> float:
-    """F of eq. (7) where the swarm of one seed ends, Hz^2: what ``identify`` finds with this seed."""
+    """F of eq. (7) where the swarm of one seed ends, Hz^2, as in ``identify`` with this seed."""
     problem, frequencies = shared
     return _minimum(problem, frequencies, np.random.default_rng(seed)).value
 
 
 def equally_good(value: float, other: float, frequencies: Array) -> bool:
-    """Whether a swarm that ended at F = value is no worse than F = other, within what a swarm leaves.
+    """Whether a swarm that ended at F = value is no worse than F = other, within a swarm's accuracy.
 
     The two may differ by 5e-4 of the root mean square frequency in the rms misfit.
     """
@@ -388,7 +386,7 @@ def _invert(shared: Shared, task: InversionTask) -> Inversion:
     """Add the noise of one group to the list and invert it.
 
     A swarm that ends where F is larger than at the reference has missed the minimum; another one is
-    started then, and the best of them counts.
+    then started, and the best of them counts.
     """
     problem, f = shared.problem, shared.measurement.frequencies
     seeds = task.seeds(shared.seed)
@@ -423,13 +421,13 @@ def _sample(shared: Shared, task: InversionTask) -> PosteriorSummary:
     """Sample the posterior of the list without added noise, the noise being known."""
     f = shared.measurement.frequencies
     sd = perturbation_sd(f, task.level, task.reading)
-    # neither rounding nor the solver's error: the noisy lists have none but the noise added
+    # neither rounding nor the solver's error: the noisy lists have only the added noise
     known = replace(shared.measurement, frequency_sd=sd, relative_std=None, resolution=0.0)
     posterior = plate_posterior(shared.problem.model, known, np.zeros(len(f)))
     seed = int(np.random.SeedSequence(task.seeds(shared.seed)).generate_state(1)[0])
     result = sample_posterior(posterior, seed, settings=shared.chains, swarm_settings=shared.problem.swarm)
     draws, parameters = result.draws, posterior.parameters
-    # the most likely constants: with even priors those of the swarm's least misfit
+    # the most probable constants: with uniform priors those of the swarm's least misfit
     start = posterior.scores.to_z(shared.reference[None])
     best = posterior.scores.to_x(maximised(posterior, start, _STEPS, _PROMISED, weight=1.0).z[0])
     near = _NEXT_TO_BOUND * (parameters.upper - parameters.lower)

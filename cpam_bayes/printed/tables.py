@@ -1,6 +1,6 @@
-"""The fourteen tables of the paper in the digits of the print, read from the package's data.
+"""The fourteen tables of the paper in printed digits, read from the package's data.
 
-Known misprints are kept beside the digits. Percentages are held against the numbers of their own rows.
+Known misprints are kept beside the digits. Percentages are checked against the numbers of their own rows.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ Role = Literal["input", "measured", "computed", "identified"]
 
 @dataclass(frozen=True, slots=True)
 class Misprint:
-    """A certain error of the print, and its reason; the printed digits stay as they are.
+    """A definite misprint, and the reason; the printed digits are kept.
 
-    print : the value that cannot be right, the percentage beside it, or only its sign "%".
+    print : what is wrong: the value, the percentage beside it, or only its sign "%".
     """
 
     print: Literal["value", "percent", "sign"]
@@ -33,7 +33,7 @@ class PrintedValue:
 
     text : as printed.
     percent : the percentage printed beside it, without its sign "%"; empty where there is none.
-    misprints : what is wrong of either.
+    misprints : of either.
     """
 
     text: str
@@ -42,7 +42,7 @@ class PrintedValue:
 
     @property
     def number(self) -> float | None:
-        """The value, or None where a text is printed."""
+        """The value as a number, or None where a text is printed."""
         try:
             return float(self.text)
         except ValueError:
@@ -65,8 +65,8 @@ class PrintedRow:
 
     part : "a" or "b" of Table 9, empty elsewhere.
     specimen : plate, or material where a table has rows of materials.
-    source : who measured, computed or identified.
-    values : by column; columns that are empty in this row are left out.
+    source : of the measurement, computation or identification.
+    values : by column; empty cells are left out.
     """
 
     part: str
@@ -84,7 +84,7 @@ class PrintedRow:
 
 @dataclass(frozen=True, slots=True)
 class PrintedTable:
-    """One of the fourteen tables; notes : what does not agree in it without being one cell's misprint."""
+    """One of the fourteen tables; notes : on disagreements in it that are not one cell's misprint."""
 
     number: int
     title: str
@@ -125,13 +125,13 @@ class PrintedTable:
 
 NUMBERS: Final = tuple(range(1, 15))
 WITHOUT_NOISE: Final = "free disorder"
-"""Source of the row of Tables 10 to 14 that no noise was added for."""
+"""Source of the row of Tables 10 to 14 without added noise."""
 _DISORDER: Final = " % disorder"
 
 
 @cache
 def content(number: int) -> Mapping[str, Any]:
-    """The file of a table as it stands."""
+    """The content of a table's file."""
     resource = files("cpam_bayes") / "data" / "paper" / f"table_{number}.toml"
     return tomllib.loads(resource.read_text(encoding="utf-8"))
 
@@ -200,7 +200,7 @@ def _noise_columns(read: Mapping[str, Any]) -> list[str]:
 
 
 def _noise_rows(read: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """Tables 10 to 14, whose files are by constant: one row without noise, and one a level."""
+    """Rows of Tables 10 to 14, whose files are by constant: one without noise, and one per level."""
     common = {"specimen": read["specimen"], "role": "identified"}
     constants, angles = read["constants"].values(), read.get("angles_deg")
     free = [row["free"] for row in constants] + ([str(angles["free"])] if angles else [])
@@ -229,10 +229,9 @@ def identified_layups() -> Mapping[str, PrintedValue]:
 
 Agreement = Literal["follows", "before rounding", "does not follow"]
 AGREEMENTS: Final[tuple[Agreement, ...]] = get_args(Agreement)
-"""Relations of a percentage to the digits of its row: it follows, could before rounding, or cannot."""
+"""Relations of a percentage to the digits of its row: it follows, may follow before rounding, or does not."""
 
-# Table -> row that its percentages refer to. Table 9 has the row of carbon/epoxy; glass/epoxy stands in
-# Table 3.
+# Table -> row to which its percentages refer. Table 9 has the row of carbon/epoxy; glass/epoxy is in Table 3.
 _REFERENCES: Final = {6: "Reference value [12]", 7: "Reference value [12]", 8: "Reference value [12]"}
 _GLASS: Final = ("C3", "C4", "D3", "D4")
 
@@ -241,10 +240,10 @@ _GLASS: Final = ("C3", "C4", "D3", "D4")
 class PercentageCheck:
     """One printed percentage, recomputed.
 
-    reference : what it refers to, as printed.
-    recomputed : from the digits of the print, percent.
-    lowest, highest : that the value and, in Tables 10 to 14, the reference allow before they were rounded.
-    agreement : "follows" from the digits, rounded or cut off; only "before rounding"; or "does not follow".
+    reference : the number to which it refers, as printed.
+    recomputed : from the printed digits, percent.
+    lowest, highest : possible before the value and, in Tables 10 to 14, the reference were rounded.
+    agreement : "follows" from the digits, rounded or truncated; only "before rounding"; or "does not follow".
     """
 
     table: int
@@ -274,7 +273,7 @@ def _checks(table: PrintedTable) -> Iterator[PercentageCheck]:
 def _check(
     number: int, row: PrintedRow, column: str, value: PrintedValue, reference: PrintedValue
 ) -> PercentageCheck:
-    # references of Tables 6 to 9 are given numbers, those of Tables 10 to 14 are results that were rounded
+    # references of Tables 6 to 9 are given numbers, those of Tables 10 to 14 rounded results
     lowest, highest = possible_percent(value.text, reference.text, exact_reference=number < 10)
     recomputed = 100.0 * (float(value.text) / float(reference.text) - 1.0)
     printed, unit = float(value.percent), last_digit(value.percent)
@@ -289,7 +288,7 @@ def _check(
 
 
 def possible_percent(amount: str, reference: str, *, exact_reference: bool) -> tuple[float, float]:
-    """Least and greatest 100 (amount / reference - 1) that the digits allow, each half a unit off."""
+    """Least and greatest 100 (amount / reference - 1) that the digits allow, with half a unit of rounding."""
     amounts = _interval(amount)
     references = (float(reference),) if exact_reference else _interval(reference)
     possible = [100.0 * (a / r - 1.0) for a, r in product(amounts, references)]
@@ -319,7 +318,7 @@ def _reference(table: PrintedTable, row: PrintedRow, column: str) -> PrintedValu
 
 
 TABLES: Final = {"A2": 10, "C1": 11, "C3": 12, "D1": 13, "D3": 14}
-"""Specimen -> its table of constants from frequencies with added noise."""
+"""Specimen -> number of its table of constants from frequencies with added noise."""
 
 
 def perturbation_table(specimen: str) -> PrintedTable | None:
@@ -328,9 +327,9 @@ def perturbation_table(specimen: str) -> PrintedTable | None:
 
 
 def contradictions(table: PrintedTable) -> tuple[PercentageCheck, ...]:
-    """Printed percentages that their own rows cannot give, whatever was rounded.
+    """Printed percentages that their own rows contradict, whatever the rounding.
 
-    Value and reference may each be half a unit of their last digit off, the percentage a whole one, since
-    some were cut off and not rounded.
+    Value and reference may each be off by half a unit of their last digit, the percentage by a whole one,
+    since some were truncated and not rounded.
     """
     return tuple(check for check in _checks(table) if check.agreement == AGREEMENTS[-1])

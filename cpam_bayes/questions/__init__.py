@@ -1,1 +1,1 @@
-"""One module a question, named as its command."""
+"""Questions: one module each, named after its command."""

@@ -1,6 +1,6 @@
-"""The local page: a plate, its frequencies, and what follows from them while one types: the question `app`.
+"""The question `app`: a local page with a plate, its frequencies, and live results while the user types.
 
-What the page computes is computed here, by the verbs that answer the commands, in processes of its own.
+The page's results come from the functions behind the commands, run in separate processes.
 """
 
 from __future__ import annotations
@@ -56,21 +56,19 @@ from cpam_bayes.workbench.worker import Shown, Tell
 
 _PORT: Final = 8377
 _REACH: Final = 1.959963984540054
-# Start points of the optimisation where there is no former optimum.
-_STARTS: Final = 4
-# Seconds that the live answer to a former edit may take before that to the last one.
+# Seconds that the live answer to an earlier edit may delay that to the latest one.
 _PATIENCE: Final = 3.0
-# Causes that are shown as bars.
+# Causes shown as bars.
 _BARS: Final = 8
-# Points of a spectrum.
+# Points of a plotted spectrum.
 _LINES: Final = 800
-# Side of the grid of a mode shape in small.
+# Grid points per side of a thumbnail mode shape.
 _GRID: Final = 13
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class AppResult(Result):
-    """A page that was served, and has ended."""
+    """A page that was served and has ended."""
 
     command: ClassVar[str] = "app"
 
@@ -80,7 +78,6 @@ class AppResult(Result):
 
 @present.register
 def _present(result: AppResult) -> Report:
-    """Where the work is."""
     return Report(
         summary=Summary(
             title="app",
@@ -108,15 +105,15 @@ def app(
 
     Parameters
     ----------
-    plate : a folder, a plate file, whose folder is then that of the page, or a built-in specimen
-    port : of 127.0.0.1; 0 for any that is free
+    plate : a folder, a plate file, whose folder the page then serves, or a built-in specimen
+    port : of 127.0.0.1; 0 for any free one
     no_browser : do not open a browser
-    announce : is told the address with its token, which opens the page
+    announce : called with the address of the page, token included
 
     Raises
     ------
     ValueError
-        If there is no such folder or plate, the port is taken, or the extra `app` is not installed.
+        If the folder or plate does not exist, the port is taken, or the extra `app` is not installed.
 
     Examples
     --------
@@ -160,7 +157,7 @@ def app(
 
 
 def _place(plate: str) -> tuple[Path, str | None, str | None]:
-    """The folder, the name of the plate file, and its text where it is a built-in specimen."""
+    """Folder, name of the plate file, and for a built-in specimen its text."""
     if plate in builtin_names():
         return Path.cwd(), f"{plate.replace('&', '_and_')}.toml", builtin_text(plate)
     path = Path(plate)
@@ -173,7 +170,7 @@ def _place(plate: str) -> tuple[Path, str | None, str | None]:
     return path.resolve().parent, path.name, None
 
 
-# What the page computes, in other processes: plain data in and out.
+# Computations of the page, in other processes: plain data in and out.
 
 
 @lru_cache(maxsize=4)
@@ -189,14 +186,14 @@ def _target(text: str, name: str, folder: str) -> tuple[Specimen, Any]:
     return specimen, target
 
 
-# The plate that was converged last: its trial functions serve while a size is typed.
+# The last converged plate: its trial functions are reused while a size is typed.
 _converged: list[Neighbour] = []
 
 
 def live(text: str, name: str, folder: str, optimum: Mapping[str, float] | None, *, tell: Tell) -> Any:
-    """The constants by Laplace's approximation about the optimum next to the last one.
+    """The constants by Laplace's approximation about the optimum nearest the last one.
 
-    Shown while one types; what is shown at rest is `identified`.
+    Shown during typing; `identified` replaces it at rest.
     """
     del tell
     specimen, target = _target(text, name, folder)
@@ -235,16 +232,16 @@ def live(text: str, name: str, folder: str, optimum: Mapping[str, float] | None,
 
 
 def held(text: str, name: str, folder: str, *, tell: Tell) -> Any:
-    """Where to hold a plate that is not measured yet, and where to hit it; None where it lacks more."""
+    """Where to hold and hit a plate to be measured; None where other entries are missing."""
     del name, folder, tell
     handling = handling_before(tomllib.loads(text))
     return None if handling is None else {"said": handling.sentence, **handling.keys}
 
 
 def identified(text: str, name: str, folder: str, *, tell: Tell) -> Any:
-    """The answer of ``cpam-bayes identify``, in the words and digits of its screen.
+    """The answer of ``cpam-bayes identify`` as on its screen.
 
-    Of a list with rows left out by hand the constants with all rows too.
+    For a list with rows left out by hand, the constants from all rows too.
     """
     specimen = parse_specimen(text, name, Path(folder))
     result = answered(specimen, watch=Shown(tell))
@@ -276,7 +273,7 @@ def identified(text: str, name: str, folder: str, *, tell: Tell) -> Any:
 
 
 def diagnosed(text: str, name: str, folder: str, *, tell: Tell) -> Any:
-    """The answer of ``cpam-bayes diagnose``, with the causes as bars and what of it a plate file can say."""
+    """The answer of ``cpam-bayes diagnose``, with causes as bars and the part that a plate file can state."""
     specimen = parse_specimen(text, name, Path(folder))
     result = diagnose(specimen, next_test="never", watch=Shown(tell))
     d, summary = result.diagnosis, result.report().summary
@@ -309,7 +306,7 @@ def diagnosed(text: str, name: str, folder: str, *, tell: Tell) -> Any:
 
 
 def _applied(result: DiagnosisResult, specimen: Specimen) -> tuple[Any, str]:
-    """The claimed cause as an entry of a plate file, and in words; None where it has no key for it."""
+    """The claimed cause as an entry of a plate file, and in words; None where no key exists for it."""
     d = result.diagnosis
     if d.claim.kind != "named":
         return None, ""
@@ -334,7 +331,7 @@ def _applied(result: DiagnosisResult, specimen: Specimen) -> tuple[Any, str]:
 
 
 def reported(text: str, name: str, folder: str, *, tell: Tell) -> Any:
-    """The files of ``cpam-bayes report --quick``, in a folder named after the plate file."""
+    """Paths of the files of ``cpam-bayes report --quick``, in a folder named after the plate file."""
     answer = report(parse_specimen(text, name, Path(folder)), quick=True, watch=Shown(tell))
     target = _saved(answer, folder, f"{Path(name).stem}-report", "report.xlsx")
     files = {"page": PAGE, "json": "report.json", "xlsx": "report.xlsx"}
@@ -342,7 +339,7 @@ def reported(text: str, name: str, folder: str, *, tell: Tell) -> Any:
 
 
 def _saved(answer: Result, folder: str, name: str, workbook: str) -> str:
-    """Write the files of an answer into a folder beside the plate files; its name."""
+    """Write the files of an answer to a folder beside the plate files; returns its name."""
     target = Path(folder) / name
     if target.is_symlink():
         raise ValueError(f"{name}: a link, accepted: a folder of this page")
@@ -354,7 +351,7 @@ def _saved(answer: Result, folder: str, name: str, workbook: str) -> str:
 def picked(text: str, name: str, folder: str, recording: str, *, tell: Tell) -> Any:
     """The modes, Hz, that ``cpam-bayes poles`` picks from a recording, and its spectrum.
 
-    Their standard deviations are those of one recording, not of the test, and stay with the command.
+    Their standard deviations are of one recording, not of the test, and are left to the command.
     """
     del text, name
     result = poles(Path(folder) / recording, watch=Shown(tell))
@@ -370,7 +367,7 @@ def picked(text: str, name: str, folder: str, recording: str, *, tell: Tell) -> 
 
 
 def listed(text: str, name: str, folder: str, *, tell: Tell) -> Any:
-    """The table of ``cpam-bayes batch`` over plate files of a folder, text : their names, a line each."""
+    """The table of ``cpam-bayes batch`` over plate files of a folder; text : their names, one per line."""
     del name
     files = text.split("\n")
     result = batch(*(str(Path(folder) / file) for file in files), watch=Shown(tell))
@@ -390,7 +387,7 @@ def listed(text: str, name: str, folder: str, *, tell: Tell) -> Any:
 
 
 def _constants(constants: Sequence[Constant]) -> list[dict[str, Any]]:
-    """Constants in the words of the screen, and their numbers in the units of the plate file."""
+    """Constants as on the screen, and their numbers in plate-file units."""
     found = []
     for c in constants:
         interval = None if c.interval is None else [to_user(c.name, end) for end in c.interval]
@@ -409,7 +406,6 @@ def _constants(constants: Sequence[Constant]) -> list[dict[str, Any]]:
 
 
 def _rows(rows: Sequence[FrequencyRow]) -> list[dict[str, Any]]:
-    """The frequencies in the words of the screen."""
     columns = {c.key: c for c in frequency_columns(rows) if c.key is not None}
     return [
         {
@@ -422,7 +418,7 @@ def _rows(rows: Sequence[FrequencyRow]) -> list[dict[str, Any]]:
 
 
 def _small(shape: Any, in_plane: bool) -> list[list[int]]:
-    """A mode shape (3, n, n) on a coarse grid, -3 to 3; of an in-plane mode the larger of u and v."""
+    """A mode shape (3, n, n) on a coarse grid, integers from -3 to 3; in-plane: the larger of u and v."""
     fields = np.asarray(shape)
     field = max(fields[:2], key=lambda f: float(np.abs(f).max())) if in_plane else fields[2]
     pick = np.linspace(0, field.shape[0] - 1, _GRID).round().astype(int)

@@ -1,4 +1,4 @@
-"""Coverage of the intervals of one plate and list, by simulated lists: the question `calibrate`."""
+"""The question `calibrate`: coverage of the intervals of one plate and list, by simulated lists."""
 
 from __future__ import annotations
 
@@ -56,18 +56,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MOST_LISTS: Final = 10_000
-# Bins of the histogram of ranks; p-values below this say that ranks are not uniform.
+# Bins of the rank histogram; p-value below which ranks are not uniform.
 _BINS, _DOUBTFUL = 20, 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class CalibratedConstant:
-    """One parameter over all simulated lists.
+    """Coverage and ranks of one parameter over all simulated lists.
 
     name : as in [unknowns], or of the noise
-    coverage : of central intervals of 50, 80 and 95 %
-    counts : (20,) true values by rank among the draws of their posteriors
-    p_value : of uniform ranks, corrected for the number of parameters (Holm)
+    coverage : of the central 50, 80 and 95 % intervals
+    counts : (20,) histogram of the rank of the true value among its posterior draws
+    p_value : for uniform ranks, corrected for the number of parameters (Holm)
     """
 
     name: str
@@ -77,19 +77,19 @@ class CalibratedConstant:
 
     @property
     def widest(self) -> Coverage:
-        """That of the 95 % intervals."""
+        """Coverage of the 95 % intervals."""
         return self.coverage[-1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class CalibrationResult(PlateResult):
-    """Coverage and ranks over lists that were simulated for one plate.
+    """Coverage and ranks over lists simulated for one plate.
 
     Attributes
     ----------
     repetitions : one for each list
-    constants : parameters that vary, the noise last where it is inferred
-    band : where the counts of ranks lie together with a probability of 95 % if all is right
+    constants : varying parameters, the noise last where it is inferred
+    band : simultaneous 95 % band of the rank counts under uniform ranks
     """
 
     command: ClassVar[str] = "calibrate"
@@ -112,17 +112,17 @@ def calibrate(
 ) -> CalibrationResult:
     """Simulation-based calibration of a plate and its list (Talts et al., 2018).
 
-    Constants, sizes and noise are drawn from their priors, a list of as many frequencies as the plate's is
-    simulated at them and sampled like a measured one. Over many lists the true value is anywhere among the
-    draws of its posterior with the same probability. It judges priors, likelihood and sampler, not the plate
-    model: nature is the model here.
+    Constants, sizes and noise are drawn from their priors; a list with the plate's number of frequencies is
+    simulated at them and sampled like a measured one. Over many lists the rank of the true value among the
+    draws of its posterior is then uniform. This checks priors, likelihood and sampler, not the plate
+    model, which is taken as true.
 
     Parameters
     ----------
     plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
-    n : lists, 20 to 10000
+    n : number of lists, 20 to 10000
     executor, workers : as for `cb.sequence`
-    watch : display of the progress; none where left out
+    watch : progress display; none if left out
 
     Raises
     ------
@@ -164,7 +164,7 @@ def calibrate(
         )
         repetitions = repeated(experiment, n, executor=pool, on_result=count)
     names = density.parameters.names
-    # sizes and frequency scale are drawn with the rest, and what holds them is not asked
+    # sizes and frequency scale are drawn too, but their coverage is not reported
     kept = [i for i, name in enumerate(names) if name in (*specimen.unknowns.names, density.noise_name)]
     ranks = np.array([r.ranks for r in repetitions])[:, kept]
     below = np.array([r.below for r in repetitions])[:, kept]
@@ -180,7 +180,7 @@ def calibrate(
 
 
 def _plain_list(specimen: Specimen) -> Specimen:
-    """The plate with a complete list without labels, as simulated lists are."""
+    """The specimen with a complete, unlabelled list, as simulated lists are."""
     measurement = specimen.measurement
     if measurement is None or not specimen.unknowns.size:
         raise PlateFileError(
@@ -201,7 +201,7 @@ def _plain_list(specimen: Specimen) -> Specimen:
 def _constants(
     names: Sequence[str], below: NDArray[np.float64], statistics: RankStatistics
 ) -> list[CalibratedConstant]:
-    """Each of n parameters; below : (lists, n) shares of draws below the truth."""
+    """Coverage and ranks of n parameters; below : (lists, n) fractions of draws below the true value."""
     return [
         CalibratedConstant(
             user_name(name), coverage(below[:, i]), tuple(int(c) for c in own.counts), own.corrected_p
@@ -222,7 +222,7 @@ def _share(level: int) -> Column:
 
 
 def _shown(name: str) -> str:
-    """A parameter without the unit of the plate file; the repeatability in words."""
+    """Parameter name without its unit; "noise" for the repeatability."""
     return "noise" if name == "relative_std" else name.partition("_")[0]
 
 
@@ -237,7 +237,6 @@ _COLUMNS: Final = (
 
 @present.register
 def _present(result: CalibrationResult) -> Report:
-    """How often intervals hold the truth, and the ranks."""
     rows = Rows("calibration", _COLUMNS, result.constants, lambda c: c.p_value < _DOUBTFUL)
     n = len(result.repetitions)
     converged = sum(r.converged for r in result.repetitions)

@@ -1,4 +1,4 @@
-"""The constants of two plates against each other: the question `compare`."""
+"""The question `compare`: the constants of two plates against each other."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cpam_bayes.running import SILENT, Watch
 
 _DRAWS: Final = 40_000
 _LARGER: Final = "probability_larger"
-# Probability that one is larger from which two constants are said to differ, as of a 95 % interval.
+# Two constants differ from this probability that one is larger, as for a 95 % interval.
 _SURE: Final = 0.975
 
 
@@ -31,9 +31,9 @@ _SURE: Final = 0.975
 class Difference:
     """A constant of the second plate against that of the first.
 
-    percent, sd_percent : of the second over the first, less 100 %, median and standard deviation
-    probability_larger : that the second plate has the larger one
-    is_open : whether the frequencies of one of the plates leave it open
+    percent, sd_percent : second / first - 1 in percent, median and standard deviation
+    probability_larger : probability that the second is larger
+    is_open : whether the frequencies of one of the plates leave the constant open
     """
 
     name: str
@@ -44,13 +44,13 @@ class Difference:
 
     @property
     def differs(self) -> bool:
-        """Whether the interval of 95 % lies on one side of zero."""
+        """Whether the 95 % interval excludes zero."""
         return not self.is_open and not 1.0 - _SURE < self.probability_larger < _SURE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class CompareResult(Result):
-    """The differences of the constants of two plates; rows : both, as of `batch`."""
+    """The differences of the constants of two plates; rows : both plates, as in `batch`."""
 
     command: ClassVar[str] = "compare"
 
@@ -59,23 +59,23 @@ class CompareResult(Result):
 
     @property
     def title(self) -> str:
-        """The names of both."""
+        """The names of both plates."""
         return " ".join(row.name for row in self.rows)
 
 
 @checked
 @within_time
 def compare(a: PlateLike, b: PlateLike, *, seed: int = 0, watch: Watch = SILENT) -> CompareResult:
-    """The differences of the constants of a plate b from those of a plate a, with their probabilities.
+    """Differences of the constants of plate b from those of plate a, with their probabilities.
 
-    Each has the posterior of `batch`, a normal one, with the errors of its sizes in it; the two are
-    independent: what both have in common, such as the scale of one analyser, is in their intervals and not in
+    Each plate has the normal posterior of `batch`, errors of sizes included. The two are taken as
+    independent: an error common to both, such as the scale of one analyser, is in their intervals and not in
     their difference.
 
     Parameters
     ----------
-    a, b : of each a built-in name, a path, a table or a `Specimen`, see `read_plate`
-    watch : display of the progress; none where left out
+    a, b : each a built-in name, a path, a table or a `Specimen`, see `read_plate`
+    watch : progress display; none if left out
 
     Raises
     ------
@@ -122,7 +122,6 @@ def _difference(name: str, first: PlateRow, second: PlateRow, rng: np.random.Gen
 
 @present.register
 def _present(result: CompareResult) -> Report:
-    """Which constants differ, by how much, and how sure that is."""
     first, second = result.rows
     table = Rows("differences", _columns(first, second), tuple(result.differences.values()))
     return Report(
@@ -193,7 +192,7 @@ def _headline(result: CompareResult) -> str:
 
 
 def _next_step(result: CompareResult) -> str:
-    """The cause of a misfit, or a gauge where all moduli go one way, as those of a thinner plate do."""
+    """Next step: the cause of a misfit; a gauge where all moduli differ one way, as for a thinner plate."""
     for row in result.rows:
         if not row.is_judged:
             return f"what is wrong with {row.name}?  cpam-bayes diagnose {row.file}"

@@ -1,4 +1,4 @@
-"""Specimens and tests ranked by how well they would determine the constants: the question `design`."""
+"""The question `design`: specimens and tests ranked by how well they would determine the constants."""
 
 from __future__ import annotations
 
@@ -71,13 +71,13 @@ MAX_STD: Final = 0.3
 MAX_RATIO: Final = 20.0
 MAX_THICKNESS_MM: Final = 1000.0
 MAX_GEOMETRIES: Final = 2000
-# Modes beyond those of the plate as it is measured.
+# Modes beyond the number measured.
 _MORE_MODES: Final = (0, 5, 10)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class DesignResult(PlateResult):
-    """Specimens by what they would say about the constants, the best first.
+    """Specimens ranked by expected information about the constants, the best first.
 
     Attributes
     ----------
@@ -85,10 +85,10 @@ class DesignResult(PlateResult):
     asked : those that the information is about
     prior_sd : (n,) standard deviations of their priors, SI
     test : how frequencies would be measured
-    noise_is_usual : whether the repeatability is that of a usual tap test, for want of a stated one
+    noise_is_usual : whether the repeatability is that of a usual tap test, because none is stated
     candidates : the most informative first
-    needed_std : the least good repeatability with which the first of them determines the constants asked for,
-        None where none does
+    needed_std : the largest repeatability at which the first candidate determines the constants asked for,
+        None if it does at none
     failed : specimens that cannot be computed, and why
     seconds : wall clock
     """
@@ -107,11 +107,11 @@ class DesignResult(PlateResult):
 
     @property
     def present(self) -> Candidate | None:
-        """The plate as it is, if it can be computed."""
+        """The candidate that is the plate as it is, if it can be computed."""
         return next((c for c in self.candidates if c.is_present), None)
 
     def verdicts(self, candidate: Candidate) -> Mapping[str, Verdict]:
-        """Who would determine each constant."""
+        """What would determine each constant."""
         sds = zip(self.constants, candidate.expected.sd, self.prior_sd, strict=True)
         return {name: verdict_of(float(sd), float(prior), explained=True) for name, sd, prior in sds}
 
@@ -134,25 +134,25 @@ def design(
 ) -> DesignResult:
     """Layups, shapes, thicknesses, edges and numbers of modes, ranked by how well they determine constants.
 
-    Every combination is computed at the reference constants. Its expected information about the constants is
-    that of Laplace's approximation there, with the prior of all verbs. Errors of sizes, mass and frequency
-    scale, stated or usual, and of clamps that give are integrated over: see `expected_information`. It
-    compares specimens; what a list that was measured says is the answer of `identify`.
+    Every combination is computed at the reference constants. Its expected information follows from Laplace's
+    approximation there, with the same prior as in every command. Errors of sizes, mass and frequency
+    scale, stated or usual, and the compliance of clamps are integrated over, see `expected_information`. This
+    compares specimens; for a measured list see `identify`.
 
     Parameters
     ----------
-    plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`, with
-        [unknowns]; a measurement is not needed
-    constants : those that the information is about, by their names in [unknowns]; all where left out
-    layups : in the notation of plate files; left out: the plate's, and usual ones of as many plies
-    ratios : of length to width, at the area of the plate; left out: the plate's, and 0.5 to 2.8
-    thicknesses_mm : left out: the plate's
-    edges : four letters each; left out: the plate's, FFFF and CFFF
-    modes : numbers of the lowest modes in the list; left out: as many as were measured, or 10, and 5 and 10
+    plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`, with [unknowns];
+        a measurement is not needed
+    constants : those that the information is about, by their names in [unknowns]; all if left out
+    layups : in the notation of plate files; if left out, the plate's, and usual ones with as many plies
+    ratios : length / width, at the area of the plate; if left out, the plate's, and 0.5 to 2.8
+    thicknesses_mm : if left out, the plate's
+    edges : four letters each; if left out, the plate's, FFFF and CFFF
+    modes : numbers of lowest modes listed; if left out, as many as were measured, or 10, and 5 and 10
         more
-    relative_std : repeatability of a frequency; left out: that of the plate file, or 0.005
+    relative_std : repeatability of a frequency; if left out, that of the plate file, or 0.005
     executor, workers : where the work is done, see `cpam_bayes.parallel.open_executor`
-    watch : display of the progress; none where left out
+    watch : progress display; none if left out
 
     Raises
     ------
@@ -227,7 +227,7 @@ def design(
 
 
 def _response(shared: tuple[Specimen, int], geometry: Geometry) -> Response | str:
-    """The frequencies of a specimen, or why there are none."""
+    """Frequencies of a specimen, or the reason why there are none."""
     specimen, n_modes = shared
     try:
         return response_of(specimen_of(specimen, geometry), n_modes)
@@ -236,7 +236,7 @@ def _response(shared: tuple[Specimen, int], geometry: Geometry) -> Response | st
 
 
 def _asked(specimen: Specimen, constants: Sequence[str] | None) -> tuple[str, ...]:
-    """The constants that the information is about, in the order of [unknowns]."""
+    """The constants asked for, in the order of [unknowns]."""
     names = specimen.unknowns.names
     if constants is None:
         return names
@@ -276,7 +276,7 @@ def _by_name(result: DesignResult, values: Any) -> dict[str, float]:
 
 
 def _rows(result: DesignResult, candidates: Sequence[Candidate]) -> Rows:
-    """The candidates with the standard deviation that each would leave of every constant."""
+    """The candidates with the standard deviation of every constant that each would give."""
 
     def sd(k: int, name: str) -> Column:
         unit = f", {unit_of(name)}" if unit_of(name) else ""
@@ -316,7 +316,6 @@ _FAILED: Final = (
 
 @present.register
 def _present(result: DesignResult) -> Report:
-    """The best specimens, the plate as it is beside them, and what the ranking assumes."""
     every, best = _rows(result, result.candidates), result.candidates[0]
     shown = list(result.candidates[:_SHOWN])
     if result.present is not None and result.present not in shown:
@@ -359,7 +358,7 @@ def _present(result: DesignResult) -> Report:
 
 
 def _keys(result: DesignResult, candidate: Candidate, record: Mapping[str, Any]) -> dict[str, Any]:
-    """A candidate in the document: what there is of each constant stands in objects by its name."""
+    """A candidate in the document, with one object per quantity that is keyed by constant."""
     flat = {f"sd_{user_name(name)}" for name in result.constants}
     return {
         **{key: value for key, value in record.items() if key not in flat},
@@ -373,7 +372,7 @@ def _keys(result: DesignResult, candidate: Candidate, record: Mapping[str, Any])
 
 
 def _verdict(result: DesignResult, best: Candidate) -> str:
-    """The constants that the best candidate determines, of those asked for."""
+    """Headline: the requested constants that the best candidate determines, and those left open."""
     determined = _determined(result, best)
     yes = [name for name in result.asked if name in determined]
     no = [name for name in result.asked if name not in determined]
@@ -447,7 +446,7 @@ _DARK: Final = 0.6
 
 
 def _maps(result: DesignResult) -> list[Drawing]:
-    """A map of the constants asked for together, and one of each constant."""
+    """One map for all constants asked for, and one for each constant."""
     asked = listed(list(result.asked), "and")
     about: list[tuple[str, str, Value]] = [("information", asked, lambda c: c.information)]
     if len(result.constants) > 1:
@@ -473,7 +472,7 @@ def _maps(result: DesignResult) -> list[Drawing]:
 
 
 def _map(result: DesignResult, what: str, value: Value) -> Figure:
-    """Layups upwards, length over width to the right, a row of panels for each edges and thickness."""
+    """Map of layup (up) and length / width (right), a row of panels for each edges and thickness."""
     candidates = result.candidates
     tests = list(dict.fromkeys(sorted((_held(c.geometry) for c in candidates), key=str)))
     numbers = sorted({c.n_modes for c in candidates})
@@ -517,7 +516,7 @@ def _panel(
 
 
 def _mark(axes: Axes, here: list[Candidate], layups: list[str], ratios: list[float], best: Candidate) -> None:
-    """A frame about the plate as it is, a star at the best specimen."""
+    """Mark the plate as it is by a frame, the best specimen by a star."""
     for c in here:
         i, j = _cell(c, layups, ratios)
         if c.is_present:
@@ -534,12 +533,12 @@ def _cell(c: Candidate, layups: list[str], ratios: list[float]) -> tuple[int, in
 
 
 def _held(geometry: Geometry) -> tuple[str, float]:
-    """Edges and thickness: what a row of panels has in common."""
+    """Edges and thickness, common to a row of panels."""
     return geometry.edges, geometry.thickness
 
 
 def _place(c: Candidate) -> tuple[bool, str]:
-    """The layup of the plate first, the others by their notation."""
+    """Sort key of layups: that of the plate first, the others by notation."""
     return not c.geometry.is_present, c.geometry.layup.text
 
 

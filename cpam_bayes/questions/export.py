@@ -1,4 +1,4 @@
-"""A plate as a file for other programs: the question `export`.
+"""The question `export`: a plate as a file for other programs.
 
 An input deck for CalculiX and ABAQUS, or predicted modes as a universal file, written by pyuff: datasets 164,
 15, 82 and 55.
@@ -41,9 +41,9 @@ from cpam_bayes.storage import replaceable, write_whole
 
 Array = NDArray[Any]
 
-# Nodes along the longer side, and at least along the shorter one.
+# Nodes along the longer side, and minimum along the shorter one.
 _ALONG, _LEAST = 21, 9
-# Dataset 164: mm, mN, and factors by which SI is multiplied.
+# Dataset 164: mm, mN, and factors from SI.
 _UNITS: Final = {
     "units_code": 5,
     "units_description": "mm (milli-newton)",
@@ -70,11 +70,11 @@ _NORMAL_MODE: Final = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UniversalShapes:
-    """Predicted modes at nodes.
+    """Predicted mode shapes at nodes.
 
-    nodes : (n,) numbers
+    nodes : (n,) node numbers
     points : (n, 2) m, from the corner x = y = 0
-    lines : (n_lines) numbers of nodes that a line joins
+    lines : node numbers of the trace lines
     shapes : (n_modes, 3, n) u, v, w, for a modal mass of 1 kg
     measured : whether the nodes are those of measured shapes
     """
@@ -89,7 +89,7 @@ class UniversalShapes:
 
 @single_blas_thread
 def predicted_shapes(specimen: Specimen, n_modes: int) -> UniversalShapes:
-    """Modes of a plate with its reference constants at the nodes of its measured shapes, or on a grid."""
+    """Modes of a plate at its reference constants, at the nodes of its measured shapes or else on a grid."""
     plate, measurement = specimen.plate, specimen.measurement
     sides = np.array([plate.length, plate.width])
     lines: tuple[Array, ...] = ()
@@ -116,7 +116,7 @@ def predicted_shapes(specimen: Specimen, n_modes: int) -> UniversalShapes:
 
 
 def universal_text(title: str, shapes: UniversalShapes) -> str:
-    """The content of the file; raises ``UniversalFileError`` where pyuff is missing."""
+    """Content of the universal file; raises ``UniversalFileError`` where pyuff is missing."""
     library = pyuff()
     with TemporaryDirectory() as directory:
         path = Path(directory) / "file.unv"
@@ -159,7 +159,7 @@ _TYPE: Final[dict[Element, str]] = {"shell": "S8R", "brick": "C3D20R"}
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class ExportResult(PlateResult):
-    """A deck in its file; n_modes : deformation modes that its step asks for."""
+    """An input deck and its file; n_modes : deformation modes requested by its step."""
 
     command: ClassVar[str] = "export"
 
@@ -170,13 +170,13 @@ class ExportResult(PlateResult):
 
     @property
     def n_elements(self) -> int:
-        """Elements of the plate, known masses not counted."""
+        """Number of elements of the plate, without known masses."""
         layers, in_plane, _ = self.deck.mesh.elements.shape
         return int(layers * in_plane)
 
     @property
     def element_type(self) -> str:
-        """The name of the elements in ABAQUS."""
+        """ABAQUS name of the element type."""
         return _TYPE[self.element]
 
 
@@ -201,18 +201,18 @@ def export(
     force: bool = False,
     seed: int = 0,
 ) -> ExportResult | UniversalResult:
-    """Write a plate with its reference constants as a file for other programs.
+    """Write a plate at its reference constants to a file for other programs.
 
     Parameters
     ----------
     plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
-    path : the file to write, by default the name of the plate with the ending ".inp" or ".unv"
+    path : the file to write, by default named after the plate, with the ending ".inp" or ".unv"
     to : "ccx", an input deck for CalculiX and ABAQUS, or "uff", predicted modes as a universal file
         (datasets 15 and 55), at the nodes of measured shapes where there are some
-    element : of a deck, "shell" (S8R) or "brick" (C3D20R); "shell" where left out
-    n_modes : modes that the deck asks for, or that are written; as many as were measured, or 10, where left
+    element : for a deck, "shell" (S8R, the default) or "brick" (C3D20R)
+    n_modes : modes that the deck requests, or that are written; as many as were measured, or 10, if left
         out
-    force : whether to write over a file that is there
+    force : whether to overwrite an existing file
 
     Raises
     ------
@@ -259,7 +259,7 @@ def export(
 
 
 def _target(plate: PlateLike, path: str | Path | None, name: str, ending: str) -> Path:
-    """The file to write, which is not the plate file."""
+    """The file to write; refuses the plate file itself."""
     given = plate if isinstance(plate, str | os.PathLike) else ""
     if path == "":
         raise ValueError("--out: received an empty name, accepted: the file to write")
@@ -270,7 +270,7 @@ def _target(plate: PlateLike, path: str | Path | None, name: str, ending: str) -
 
 
 def _require_writable(path: Path, force: bool) -> None:
-    """Raise ``ValueError`` where a file cannot be written, or is there and ``force`` is not given."""
+    """Raise ``ValueError`` where a file cannot be written, or exists and ``force`` is not given."""
     shown = f"--out {path}"
     try:
         if path.is_dir():
@@ -321,7 +321,6 @@ def _report(
 
 @present.register
 def _present_deck(result: ExportResult) -> Report:
-    """An input deck, its mesh, and how CalculiX solves it."""
     n_rigid, n_nodes = result.deck.n_rigid, len(result.deck.mesh.nodes)
     rigid = f" after {n_rigid} rigid-body motions" if n_rigid else ""
     written = (
@@ -361,7 +360,6 @@ _MODES: Final = (
 
 @present.register
 def _present_universal(result: UniversalResult) -> Report:
-    """A universal file, its modes and nodes, and what it is for."""
     shapes = result.shapes
     where = "nodes of the measured shapes" if shapes.measured else "nodes of a grid"
     modes = Rows("modes", _MODES, shapes.modes)

@@ -1,4 +1,4 @@
-"""Natural frequencies and mode shapes of a plate from its reference constants: the question `forward`."""
+"""The question `forward`: natural frequencies and mode shapes of a plate from its reference constants."""
 
 from __future__ import annotations
 
@@ -93,9 +93,9 @@ Element = Literal["brick", "shell"]
 
 @dataclass(frozen=True, slots=True)
 class ModeShape:
-    """Displacements of one mode on a regular grid of the plate, (nx, ny) each, of any scale.
+    """Displacements of one mode on a regular grid of the plate, (nx, ny) each, arbitrary scale.
 
-    They are NaN off the plate: in a hole, or beyond an oblique edge.
+    NaN off the plate: in a hole, or beyond an oblique edge.
     """
 
     u: Array
@@ -105,7 +105,7 @@ class ModeShape:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class ForwardResult(PlateResult):
-    """Modes of a plate with its reference constants.
+    """Modes of a plate at its reference constants.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ class ForwardResult(PlateResult):
     seconds : wall clock
     no_estimate : why there is no estimate of the error
     extent : m, least and greatest x, and y, of the shapes' grid; None for the rectangle
-    by_shape : what measured shapes say of the modes, None without them
+    by_shape : pairing of the modes by measured shapes, None without shapes
     """
 
     command: ClassVar[str] = "forward"
@@ -145,7 +145,7 @@ class ForwardResult(PlateResult):
 class _Solution:
     """The fields of `ForwardResult`; specimen : as computed, see `ElementModel.specimen`.
 
-    at_nodes : (n_modes, 3, n_nodes) shapes at the nodes of the measured ones, None without them.
+    at_nodes : (n_modes, 3, n_nodes) shapes at the nodes of the measured shapes, None without these.
     """
 
     specimen: Specimen
@@ -175,9 +175,9 @@ def forward(
     Parameters
     ----------
     plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
-    n_modes : number of modes; as many as were measured, or 10, where left out
-    solver : "ritz", "fem" (finite elements, which also take a mesh) or "ccx" (the program CalculiX);
-        "fem" for a plate with a mesh and "ritz" for the others where left out
+    n_modes : number of modes; as many as were measured, or 10, if left out
+    solver : "ritz", "fem" (finite elements, also on a mesh) or "ccx" (the program CalculiX);
+        if left out, "fem" for a plate with a mesh, else "ritz"
     element : "brick" or "shell", with ``solver="ccx"`` only
 
     Raises
@@ -240,7 +240,7 @@ def forward(
 
 
 def handling_before(plate: Mapping[str, Any]) -> Handling | None:
-    """Where to hold and hit a plate that is to be measured, from its table; None where it lacks more."""
+    """Where to hold and hit a plate to be measured, from its table; None where other entries are missing."""
     try:
         return forward({key: value for key, value in plate.items() if key != "measurement"}).handling
     except ValueError:
@@ -248,7 +248,6 @@ def handling_before(plate: Mapping[str, Any]) -> Handling | None:
 
 
 def _slips(specimen: Specimen, solution: _Solution) -> tuple[Notice, ...]:
-    """A plate that looks like one in other units."""
     measurement = specimen.measurement
     if measurement is None or not measurement.complete:
         return ()
@@ -258,7 +257,7 @@ def _slips(specimen: Specimen, solution: _Solution) -> tuple[Notice, ...]:
 
 
 def _ritz(specimen: Specimen, n_modes: int) -> _Solution:
-    """First-order shear deformation theory on a converged Ritz space."""
+    """First-order shear deformation theory, on a converged Ritz space."""
     model = converged_model(specimen, NO_PARAMETERS, n_modes)
     modes, shapes, at_nodes = _described(model, specimen)
     return _Solution(specimen, "Ritz, first-order shear deformation", modes, model.error, shapes, at_nodes)
@@ -289,7 +288,7 @@ def _fem(specimen: Specimen, n_modes: int) -> _Solution:
 
 
 def _ccx(specimen: Specimen, n_modes: int, element: Element = "brick") -> _Solution:
-    """Three-dimensional bricks, or shells, solved by the program CalculiX."""
+    """Three-dimensional bricks, or shells, by the program CalculiX."""
     from cpam_bayes.forward_model.calculix.run import solve_modes
 
     solved = solve_modes(specimen, reference_constants(specimen), n_modes, element=element)
@@ -316,7 +315,7 @@ _SOLVERS: Final = {"ritz": _ritz, "fem": _fem, "ccx": _ccx}
 def _described(
     model: PlateModel, specimen: Specimen, extent: Extent = UNIT_SQUARE
 ) -> tuple[tuple[Mode, ...], Array, Array | None]:
-    """Modes of a model without parameters, and their u, v, w on a grid and at measured nodes."""
+    """Modes of a model without parameters, and their u, v, w on a grid and at the measured nodes."""
     none = np.empty((1, 0))
     spectrum = model.spectrum(none, vectors=True)
     _, mass = model.coefficients(none)
@@ -335,7 +334,7 @@ def _nodes(specimen: Specimen) -> Array | None:
 
 
 class _Row(NamedTuple):
-    """A mode beside the measured frequency, if there is one."""
+    """A mode and its measured frequency, if any."""
 
     number: int
     mode: Mode
@@ -344,7 +343,7 @@ class _Row(NamedTuple):
 
 
 def _difference(row: _Row) -> str | None:
-    """Computed over measured, as a difference in % or, where units must be wrong, as a factor."""
+    """Computed / measured - 1 in %, or the factor where the units must be wrong."""
     if row.measured is None:
         return None
     ratio = row.mode.frequency / row.measured.hz
@@ -375,7 +374,6 @@ _CONSTANTS: Final = (
 
 @present.register
 def _present(result: ForwardResult) -> Report:
-    """The frequencies, how exact they are, and how far they are from the measured ones."""
     specimen, by_shape = result.specimen, result.by_shape
     measured = measured_of_modes(specimen, result.modes, by_shape)
     each = zip(result.modes, result.error, measured, strict=True)
@@ -430,7 +428,7 @@ def _present(result: ForwardResult) -> Report:
 
 
 def _shapes(result: ForwardResult) -> Figure:
-    """All mode shapes: deflection with its nodal lines, or the deformed grid of in-plane modes."""
+    """All mode shapes: deflection with nodal lines, or the deformed grid for in-plane modes."""
     plate = result.specimen.plate
     extent = extent_of(plate.length, plate.width)
     if result.extent is not None:
@@ -504,7 +502,7 @@ def _computation(result: ForwardResult) -> Table:
 
 
 def _list_is_paired(result: ForwardResult) -> bool:
-    """Whether measured frequencies stand beside modes: by shape or label, or in a list without gaps."""
+    """Whether the measured frequencies can be paired: by shape or label, or in a complete list."""
     measurement = result.specimen.measurement
     if measurement is None or measurement.complete:
         return True
@@ -512,7 +510,7 @@ def _list_is_paired(result: ForwardResult) -> bool:
 
 
 def _constants_with_origin(specimen: Specimen) -> list[tuple[str, float, str]]:
-    """Name, value in SI and origin of every constant that the plate has."""
+    """Name, value in SI and origin of every constant of the plate."""
     return [
         (joined_name(of, name), value, origin)
         for of, part in specimen.material.parts.items()

@@ -1,6 +1,6 @@
-"""A commented plate file from what is known of a plate, and what is asked at a terminal: the question `new`.
+"""The question `new`: a commented plate file from what is known of a plate, or from answers at a terminal.
 
-What is not known stands in the file as a comment with an example.
+Unknown entries stand in the file as comments with examples.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from cpam_bayes.storage import replaceable, write_whole
 
 @dataclass(frozen=True, slots=True)
 class TypicalMaterial:
-    """Typical constants to begin with; bounds : of the search, wide enough for the kind.
+    """Typical constants of a kind of material.
 
-    source : where the constants are from
+    bounds : of the search, wide enough for the kind. source : where the constants are from
     """
 
     name: str
@@ -84,21 +84,21 @@ MATERIALS: Final[Mapping[str, TypicalMaterial]] = {
         "Table 3 of the paper",
     ),
 }
-"""Materials by the name that the command takes."""
+"""Materials by their name on the command line."""
 _FIRST_MATERIAL: Final = next(iter(MATERIALS))
-# Bounds that do not hold a constant of the data sheet are widened to so much of it on its side: two standard
-# deviations of the usual prior; of an isotropic material Poisson's ratio stays below one half.
+# Bounds that exclude a data-sheet constant are widened by this fraction of it, two standard deviations of
+# the usual prior; Poisson's ratio of an isotropic material stays below one half.
 _ROOM, _LARGEST_NU = 0.5, 0.495
 
 
 @dataclass(frozen=True, slots=True)
 class KnownPlate:
-    """The known entries of a plate file; None and empty for unknown ones.
+    """The known entries of a plate file; None or empty if unknown.
 
     size_mm : length, width, thickness. mass_g : weighed. material : a name in `MATERIALS`.
-    constants : of the data sheet, in the order of the material's; is_typical : whether typical ones stand in
-    for them, with bounds alone counting.
-    frequencies_hz : ascending; table : path of a table of modes in their place.
+    constants : of the data sheet, in the order of the material's; is_typical : whether typical ones replace
+    them, and only the bounds count.
+    frequencies_hz : ascending; table : path of a table of modes instead.
     """
 
     name: str
@@ -117,7 +117,7 @@ class KnownPlate:
 
 
 def plate_file_text(known: KnownPlate) -> str:
-    """A plate file; keys that are not known are comments, so that reading it names all it lacks."""
+    """Text of a plate file; unknown keys are comments, so that reading it reports all that is missing."""
     material = MATERIALS[known.material]
     isotropic = material.symmetry == "isotropic"
     length, width, thickness = known.size_mm or (None, None, None)
@@ -194,7 +194,7 @@ def plate_file_text(known: KnownPlate) -> str:
 
 
 def material_lines(material: TypicalMaterial) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The lines of [material] and of [unknowns] with typical constants."""
+    """Lines of [material] and of [unknowns] with typical constants."""
     head, unknown = _stated_lines(material, ())
     return (
         *head[:2],
@@ -206,7 +206,7 @@ def material_lines(material: TypicalMaterial) -> tuple[tuple[str, ...], tuple[st
 def _stated_lines(
     material: TypicalMaterial, constants: Sequence[float]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The same with the constants of a data sheet, in comments where they are not known."""
+    """Lines of [material] and of [unknowns] with data-sheet constants, commented out where unknown."""
     given: Sequence[float | None] = tuple(constants) or (None,) * len(material.constants)
     return (
         _line("name", material.name, "", "plates of one name share their constants in `diagnose`"),
@@ -222,7 +222,7 @@ def _stated_lines(
 
 
 def _bounds_line(key: str, pair: tuple[float, float], value: float | None, symmetry: str) -> str:
-    """The bounds of a constant, wider where that of the data sheet is not between them."""
+    """Line with the bounds of a constant, widened where they exclude that of the data sheet."""
     lower, upper = pair
     if value is None or lower < value < upper:
         return _line(key, list(pair), [], "")
@@ -234,7 +234,7 @@ def _bounds_line(key: str, pair: tuple[float, float], value: float | None, symme
 
 
 def _line(key: str, value: object, example: object, comment: str) -> str:
-    """A key with its value, or in a comment with an example where there is none."""
+    """Line with a key and its value, or commented out with an example where there is none."""
     said = f"{key} = {_toml(example if value is None else value)}"
     marked = said if value is not None else f"# {said}"
     return f"{marked:<28} # {comment}".rstrip() if comment else marked
@@ -250,8 +250,8 @@ def _toml(value: object) -> str:
 class NewPlateResult(Result):
     """A plate file that was written.
 
-    missing : what it still needs, a sentence each
-    handling : where to hold the plate and where to hit it, None where the file lacks more than frequencies
+    missing : what it still lacks, one sentence each
+    handling : where to hold and where to hit the plate, None where the file lacks more than frequencies
     """
 
     command: ClassVar[str] = "new"
@@ -278,26 +278,26 @@ def new(
     frequencies_hz: Sequence[float] = (),
     table: str | None = None,
 ) -> NewPlateResult:
-    """Write a commented plate file; a file that is there is never written over.
+    """Write a commented plate file; an existing file is never overwritten.
 
     Parameters
     ----------
-    path : the file to write; the plate has its name
+    path : the file to write; the plate is named after it
     size_mm : length, width and thickness
     mass_g : of the bare plate
     layup, edges : as in a plate file
-    material : a name in `MATERIALS`, whose bounds the search has
-    constants : those of its data sheet, E1, E2, nu12, G12 in GPa, of a metal E1, nu12; left out they are to
-        be filled in
+    material : a name in `MATERIALS`, which sets the bounds of the search
+    constants : from its data sheet: E1, E2, nu12, G12, for a metal E1, nu12, moduli in GPa; if left out, to
+        be filled in by hand
     thickness_sd_mm : standard deviation of the mean thickness
-    accelerometer : its mass, g, and place x, y, mm; None for a microphone or a laser
-    air_density_kg_m3 : of the air about the plate, 1.2 in a room; None for none in the model
-    frequencies_hz, table : measured frequencies, or a table of modes in their place
+    accelerometer : its mass, g, and position x, y, mm; None for a microphone or a laser
+    air_density_kg_m3 : of the surrounding air, 1.2 in a room; None for a model in vacuum
+    frequencies_hz, table : measured frequencies, or a table of modes instead
 
     Raises
     ------
     ValueError
-        If the file is there or cannot be written, or what is given contradicts itself.
+        If the file exists or cannot be written, or what is given contradicts itself.
 
     Examples
     --------
@@ -334,7 +334,7 @@ def new(
 
 
 def require_new(path: str | Path) -> Path:
-    """The path of a file that can be written and is not there yet; raise ``ValueError`` for any other."""
+    """The path of a new file; raises ``ValueError`` if it exists or cannot be written."""
     target = Path(path)
     if not target.name:
         raise ValueError(f"FILE: received {str(path)!r}, accepted: the file to write")
@@ -344,7 +344,7 @@ def require_new(path: str | Path) -> Path:
 
 
 def plate_text(target: Path, known: KnownPlate) -> tuple[str, tuple[str, ...]]:
-    """The text of a new plate file, and what it lacks, a sentence each; errors as of `new`."""
+    """Text of a new plate file, and what it lacks, one sentence each; raises as `new` does."""
     require_choice("material", known.material, tuple(MATERIALS))
     names = tuple(MATERIALS[known.material].constants)
     for what, given, accepted in (
@@ -359,7 +359,7 @@ def plate_text(target: Path, known: KnownPlate) -> tuple[str, tuple[str, ...]]:
 
 
 def _missing(text: str, path: Path) -> tuple[str, ...]:
-    """The missing entries; raise ``PlateFileError`` for anything else that is wrong with what was given."""
+    """The missing entries; raises ``PlateFileError`` for any other fault of the entries."""
     try:
         parse_specimen(text, path.name, path.parent)
     except PlateFileError as error:
@@ -371,13 +371,12 @@ def _missing(text: str, path: Path) -> tuple[str, ...]:
 
 
 def _without_place(problem: str) -> str:
-    """A problem without the file, which is not written yet, and the line."""
+    """A problem without its file, not written yet, and line."""
     return problem.partition(": ")[2]
 
 
 @present.register
 def _present(result: NewPlateResult) -> Report:
-    """The file, what it lacks, and how it is read."""
     many = len(result.missing)
     lacks = f"it lacks {many} entr{'y' if many == 1 else 'ies'}" if many else "it can be read as it is"
     return Report(
@@ -402,16 +401,16 @@ def _present(result: NewPlateResult) -> Report:
     )
 
 
-# Typed in place of an answer, it takes the one before back.
+# Typed instead of an answer, goes back to the previous question.
 _BACK: Final = "<"
 
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """A line that is asked for.
+    """One question at the terminal.
 
-    key : the argument of `cpam_bayes.new` that it fills
-    read : the line to its value; raises ValueError for what it is not
+    key : argument of `cpam_bayes.new` that it fills
+    read : parser of the typed line; raises ValueError for an invalid one
     """
 
     key: str
@@ -420,7 +419,7 @@ class Question:
 
 
 def _numbers(text: str) -> tuple[float, ...]:
-    """Numbers with points or, all of them, with commas; one alone with a comma may be two, and is refused."""
+    """Numbers, all with decimal points or all with commas; a lone one with a comma is ambiguous, refused."""
     values = numbers_of(text)
     if values is None:
         raise ValueError(
@@ -437,7 +436,7 @@ def _number(text: str) -> float:
 
 
 def _in_air(text: str) -> float | None:
-    """Density of the air of a room for a yes, None for a no."""
+    """Density of room air for a yes, None for a no."""
     said = text.casefold()
     if said not in ("yes", "y", "no", "n"):
         raise ValueError(f"received {text!r}, accepted: yes or no")
@@ -476,9 +475,9 @@ QUESTIONS: Final = (
 
 
 def asked(check: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
-    """Answers of a user at a terminal, as arguments of `cpam_bayes.new`.
+    """Arguments of `cpam_bayes.new` from answers at a terminal.
 
-    check : raises ValueError for what cannot be; the question is then asked again
+    check : raises ValueError for an impossible answer; the question is then repeated
     """
     print(
         f"What is known of the plate? An empty line for what is not; {_BACK} takes the answer before back; "
@@ -498,7 +497,7 @@ def asked(check: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
 
 
 def _left_out(question: Question, given: dict[str, Any]) -> bool:
-    """Whether what was said answers the question already."""
+    """Whether earlier answers make a question unnecessary."""
     of_metal = question.key == "layup" and given.get("material") == "metal"
     return of_metal or (question.key == "frequencies_hz" and "table" in given)
 
@@ -506,7 +505,7 @@ def _left_out(question: Question, given: dict[str, Any]) -> bool:
 def _answer(
     question: Question, given: dict[str, Any], check: Callable[[dict[str, Any]], object]
 ) -> dict[str, Any] | None:
-    """The known entries with the answer, None where the answer before is to be given again."""
+    """The known entries with the new answer; None to go back to the previous question."""
     while True:
         print(f"{question.text}: ", end="", file=sys.stderr, flush=True)
         try:
@@ -528,7 +527,7 @@ def _answer(
 
 
 def _asked_at_a_terminal(path: str, **given: Any) -> dict[str, Any]:
-    """Answers at a terminal, where no option says anything of the plate."""
+    """Answers at a terminal, if the command line gives nothing about the plate."""
     if given or sys.stdin is None or not sys.stdin.isatty():
         return {}
     target = require_new(path)
@@ -536,7 +535,7 @@ def _asked_at_a_terminal(path: str, **given: Any) -> dict[str, Any]:
 
 
 _NUMBER: Final = positive(1e9)
-# Nothing is passed on that is not given.
+# an option that is not given is not passed on
 _given: Final = partial(option, default=argparse.SUPPRESS)
 COMMAND: Final = Command(
     new,

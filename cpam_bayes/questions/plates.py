@@ -1,4 +1,4 @@
-"""The specimens of the paper that are built in: the question `plates`."""
+"""The question `plates`: the paper's specimens, which are built in."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cpam_bayes.result import Result, present
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class BuiltinPlates(Result):
-    """The specimens of the paper, as they are built in."""
+    """The built-in specimens of the paper."""
 
     command: ClassVar[str] = "plates"
 
@@ -59,7 +59,6 @@ _COLUMNS: Final = (
 
 @present.register
 def _present(result: BuiltinPlates) -> Report:
-    """One row for each specimen."""
     rows = Rows("plates", _COLUMNS, result.specimens)
     return Report(
         summary=Summary(

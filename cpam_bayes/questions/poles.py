@@ -1,4 +1,4 @@
-"""Natural frequencies and damping from frequency responses or recorded hits: the question `poles`."""
+"""The question `poles`: natural frequencies and damping from frequency responses or recorded hits."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ from cpam_bayes.result import Result, present
 from cpam_bayes.running import SILENT, Watch, single_blas_thread
 
 TABLE: Final = "modes.csv"
-"""The table of modes among the files of `--out`."""
-# Lines at 0 Hz and beside it are drift.
+"""File name of the table of modes in `--out`."""
+# Lines at and next to 0 Hz are drift.
 _FIRST_PEAK: Final = 3
-# A peak belongs to a mode within so many half widths.
+# A peak belongs to a mode within this many half widths.
 _PEAK: Final = 3.0
-# Modes closer than this many of their half widths together are told of, and a poor standard deviation.
+# Modes closer than this many of their half widths together are reported; relative sd that is poor.
 _CLOSE, _POOR = 2.0, 0.01
 _MOST_HZ: Final = 1e6
 _MOST_CHANNELS: Final = 256
@@ -58,12 +58,12 @@ _MOST_CHANNELS: Final = 256
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class PolesResult(Result):
-    """Poles of a test.
+    """Poles of a modal test.
 
     Attributes
     ----------
-    files : that were read
-    test : what was read, the poles by model order, and the range
+    files : the files read
+    test : responses, poles by model order, and range
     """
 
     command: ClassVar[str] = "poles"
@@ -78,7 +78,7 @@ class PolesResult(Result):
 
     @property
     def others(self) -> tuple[Pole, ...]:
-        """Poles that were taken for something else, ascending."""
+        """Poles taken for something other than a mode, ascending."""
         return self.test.others
 
     @property
@@ -88,12 +88,12 @@ class PolesResult(Result):
 
     @property
     def title(self) -> str:
-        """The files."""
+        """Names of the files, three at most."""
         return " ".join(Path(name).name for name in self.files[:3]) + (" ..." if len(self.files) > 3 else "")
 
     @property
     def table(self) -> str:
-        """The modes as `[measurement] table` of a plate file reads them; a weight of 0 leaves a mode out."""
+        """The modes as CSV for `[measurement] table` of a plate file; a weight of 0 leaves a mode out."""
         rows = [
             f"{i},{mode.frequency:.6g},{mode.sd:.3g},{mode.damping:.4g},{_height(mode)},1"
             for i, mode in enumerate(self.modes, 1)
@@ -101,7 +101,7 @@ class PolesResult(Result):
         return "\n".join(["mode,hz,sd,damping,height,weight", *rows, ""])
 
     def texts(self) -> Mapping[str, str]:
-        """The table of modes."""
+        """The table of modes, if there are any, by file name."""
         return {TABLE: self.table} if self.modes else {}
 
 
@@ -120,7 +120,7 @@ def poles(
 ) -> PolesResult:
     """Natural frequencies and damping ratios with standard deviations, as a table of modes.
 
-    Poles of least-squares complex frequency-domain models over many orders (`stabilise`); those that stay
+    Poles of least-squares complex frequency-domain models over many orders (`stabilise`); stable ones
     are fitted again hit by hit, each in a band of its own (`fit_poles`), and those that recur and stand out
     are modes (`modes_of_hits`).
 
@@ -128,13 +128,13 @@ def poles(
     ----------
     files : universal files with datasets 58, tables of frequency responses (hz and then re, im or magnitude,
         phase [deg] of each response), or .wav files of recorded hits or a folder of them; all are one test
-    force, response : channels of .wav files, from 1; left out, one of several channels that is a pulse is
+    force, response : channels of .wav files, from 1; if left out, one of several channels that is a pulse is
         the force and the others are responses; without force each hit is a free decay
-    window : of .wav files, "none" (left out) or "exponential", whose damping is taken off again
+    window : of .wav files, "none" (left out) or "exponential", whose added damping is subtracted
     low_hz, high_hz : the range; left out, from 20 Hz or above the first lines, of hits up to where the force
-        has fallen to a tenth, of decays without a force a quarter above the last line that stands above noise
+        has fallen to a tenth, of free decays a quarter above the last line above the noise
     order : number of poles of the largest model, 10 to 200
-    seed : of the result's record; nothing is drawn at random
+    seed : recorded in the result; nothing is random
 
     Raises
     ------
@@ -182,12 +182,11 @@ def poles(
 
 
 def _is_under(peak: float, mode: Pole, step: float) -> bool:
-    """Whether a peak is that of a mode."""
     return abs(peak - mode.frequency) < _PEAK * mode.damping * mode.frequency + 2.0 * step
 
 
 def _below(responses: FrequencyResponses, size: NDArray[np.float64], low: float) -> Iterator[Notice]:
-    """A peak below the range that is the largest of all; size : of the lines, (n,)."""
+    """Notice of a peak below the range that is the largest of all; size : (n,) magnitude of the lines."""
     at = int(np.argmax(size[_FIRST_PEAK:])) + _FIRST_PEAK
     if responses.frequencies[at] < low:
         yield Notice("largest_below_range", facts={"frequency": float(responses.frequencies[at])})
@@ -254,7 +253,6 @@ def _damping(mode: Pole) -> tuple[str, str]:
 
 @present.register
 def _present(result: PolesResult) -> Report:
-    """The modes with their standard deviations, how they were found, and the stability diagram."""
     test, found = result.test, result.test.stabilisation
     modes = Rows("modes", _COLUMNS, tuple(enumerate(result.modes, 1)))
     others = Rows("others", _OTHERS, result.others)
@@ -314,7 +312,7 @@ def _present(result: PolesResult) -> Report:
 
 
 def _contained(modes: Sequence[Pole]) -> str:
-    """What the standard deviations contain: of one hit nothing of what changes between hits."""
+    """Sentence on the content of the standard deviations; a single hit has no scatter between hits."""
     of_hits = "the scatter from hit to hit"
     contained, missing = ("", f"{of_hits}, ") if len(modes[0].each) <= 1 else (f" and {of_hits}", "")
     return (
@@ -338,7 +336,7 @@ def _headline(modes: Sequence[Pole]) -> str:
 
 
 def _marks(result: PolesResult) -> list[Mark]:
-    """What each peak was taken for, with peaks that no pole explains."""
+    """Label of each peak, including peaks without a pole."""
     poles = sorted((*result.modes, *result.others), key=lambda one: one.frequency)
     marks = [
         Mark(one.frequency, "" if one.taken is Taken.MODE else one.taken.value, one.taken is Taken.MODE)
@@ -353,7 +351,7 @@ def _marks(result: PolesResult) -> list[Mark]:
 
 
 def _poles_in_range(*files: str, range_hz: Sequence[float] | None, **options: Any) -> PolesResult:
-    """The verb with the two ends of `--range`."""
+    """`poles` with the two ends of `--range`."""
     low, high = range_hz or (None, None)
     return poles(*files, low_hz=low, high_hz=high, **options)
 

@@ -1,4 +1,4 @@
-"""Frequencies of another plate of the same material from a stored posterior: the question `predict`."""
+"""The question `predict`: frequencies of another plate of the same material from a stored posterior."""
 
 from __future__ import annotations
 
@@ -62,21 +62,21 @@ PosteriorLike = str | os.PathLike[str] | SampledResult
 
 MAX_DRAWS: Final = 20_000
 DEFAULT_DRAWS: Final = 1000
-# Least relative range of a parameter that a model is built over.
+# Smallest relative range of a parameter over which a model is built.
 _LEAST_RANGE = 1e-6
-# A constant that is held at another value than in the posterior is told from this relative difference on.
+# Relative difference from which a held constant counts as different from the posterior's.
 _SAME = 1e-6
-# A size that is measured again may differ by so many standard deviations.
+# A size measured again may differ by this many standard deviations.
 _FAR_SD = 5.0
 
 
 @dataclass(frozen=True, slots=True)
 class PredictedMode:
-    """The frequency of one mode over the draws of the posterior.
+    """The frequency of one mode over the posterior draws.
 
     mode : frequency (Hz), kind and label at the mean constants
     mean, sd, q025, q975 : of the natural frequency, Hz
-    measured_q025, measured_q975 : where a measurement would lie, the noise of the posterior added, Hz
+    measured_q025, measured_q975 : the same for a measurement, with the noise of the posterior added, Hz
     """
 
     mode: Mode
@@ -94,12 +94,12 @@ class PredictionResult(PlateResult):
 
     Attributes
     ----------
-    posterior : the draws that were used
+    posterior : the draws used
     modes : the lowest modes, ascending
     frequencies : (n_draws, n_modes) natural frequencies of the draws, Hz
     shapes : (n_modes, 3, n, n), u, v and w on a regular grid at the mean constants
     error : (n_modes,) estimated relative error of the solver
-    sizes_of_posterior : whether the sizes are those of the draws, as of another test of the same plate
+    sizes_of_posterior : whether the sizes are those of the draws, as in another test of the same plate
     seconds : wall clock
     """
 
@@ -127,18 +127,18 @@ def predict(
 ) -> PredictionResult:
     """Frequencies of a plate of another size, layup or edges, from the posterior of its material.
 
-    Every draw of the constants is carried through the plate's model: p(f | data) = integral of
-    p(f | constants) p(constants | data). Constants that did not vary in the posterior are those of the
-    plate's [material]. Sizes vary by [plate.sd] or else the usual standard deviations; those of
-    the plate that was measured, known by its `specimen`, are the sizes of the draws.
+    Every draw of the constants is propagated through the plate model: p(f | data) = integral of
+    p(f | constants) p(constants | data). Constants that did not vary in the posterior are taken from the
+    plate's [material]. Sizes vary by [plate.sd], or else by the usual standard deviations; for
+    the measured plate itself, recognised by its `specimen`, they are those of the draws.
 
     Parameters
     ----------
-    posterior : the path of a ``posterior.nc``, or what `sample` returns
+    posterior : path of a ``posterior.nc``, or the result of `sample`
     plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
-    n_modes : number of modes; as many as were measured, or 10, where left out
-    draws : draws of the posterior at most, at even distances
-    watch : display of the progress; none where left out
+    n_modes : number of modes; as many as were measured, or 10, if left out
+    draws : largest number of posterior draws, evenly spaced
+    watch : progress display; none if left out
 
     Raises
     ------
@@ -170,7 +170,7 @@ def predict(
 
 
 def _require_order(posterior: PosteriorLike, plate: object) -> None:
-    """Refuse a plate in the place of the posterior and the posterior in that of the plate."""
+    """Refuse posterior and plate in the wrong order."""
     if isinstance(plate, SampledResult) or (
         isinstance(plate, str | os.PathLike) and os.fspath(plate).endswith(".nc")
     ):
@@ -233,7 +233,7 @@ def _predicted(
 
 
 def _differing_sizes(specimen: Specimen, stored: StoredPosterior) -> tuple[Notice, ...]:
-    """Sizes by which the plate is not the one that was measured, whose name it has."""
+    """Notice of sizes that differ from the measured plate of the same name."""
     far = []
     for name, there in stored.outline.items():
         here = float(getattr(specimen.plate, name))
@@ -247,7 +247,7 @@ def _differing_sizes(specimen: Specimen, stored: StoredPosterior) -> tuple[Notic
 def _sizes(
     specimen: Specimen, stored: StoredPosterior, same_plate: bool, rng: np.random.Generator
 ) -> dict[str, Array]:
-    """Draws of the plate's sizes that are not known exactly, SI."""
+    """Draws of the uncertain sizes of the plate, SI."""
     if same_plate:
         return {name: stored.draws[name] for name in stored.sizes}
     known = replace(specimen, plate=replace(specimen.plate, sd=specimen.plate.known_to))
@@ -255,14 +255,14 @@ def _sizes(
 
 
 def _over(name: str, values: Array) -> Parameter:
-    """A parameter over the range of its draws."""
+    """A parameter, uniform over the range of its draws."""
     low, high = float(values.min()), float(values.max())
     room = _LEAST_RANGE * max(abs(low), abs(high))
     return Parameter(name, SIZES.get(name, ""), Uniform(low - room, high + room))
 
 
 def _measured(f: Array, stored: StoredPosterior, possible: Array, rng: np.random.Generator) -> Array:
-    """Frequencies (n_draws, n_modes) as they would be measured with the noise of the posterior, Hz."""
+    """Simulated measurements (n_draws, n_modes): frequencies with the noise of the posterior, Hz."""
     z = rng.standard_normal(f.shape)
     if "absolute_sd" in stored.draws:
         return np.asarray(f + stored.draws["absolute_sd"][possible, None] * z)
@@ -282,7 +282,7 @@ def _modes(described: tuple[Mode, ...], f: Array, measured: Array) -> tuple[Pred
 
 
 def _require_same_kind(specimen: Specimen, stored: StoredPosterior) -> None:
-    """Refuse a plate whose material is of another kind than that of the posterior."""
+    """Refuse a plate whose material is of another kind than the posterior's."""
     symmetry = specimen.material.symmetry
     foreign = [name for name in stored.constants if name not in specimen.material.constants]
     foreign = [name for name in foreign if name not in ("G13", "G23") or symmetry == "isotropic"]
@@ -297,7 +297,7 @@ def _require_same_kind(specimen: Specimen, stored: StoredPosterior) -> None:
 
 
 def _held_elsewhere(specimen: Specimen, stored: StoredPosterior) -> tuple[Notice, ...]:
-    """Constants that were held at other values than this plate has."""
+    """Notice of constants held at other values in the posterior than this plate has."""
     values = specimen.material.complete()
     differing = tuple(
         (name, value, float(values[name]))
@@ -308,7 +308,7 @@ def _held_elsewhere(specimen: Specimen, stored: StoredPosterior) -> tuple[Notice
 
 
 class _Row(NamedTuple):
-    """A predicted mode beside the measured frequency, if there is one."""
+    """A predicted mode and its measured frequency, if any."""
 
     number: int
     m: PredictedMode
@@ -316,7 +316,7 @@ class _Row(NamedTuple):
 
     @property
     def is_outside(self) -> bool:
-        """Whether the measured frequency lies outside the interval of a measurement."""
+        """Whether the measured frequency lies outside the 95 % interval of a measurement."""
         there = self.measured
         return there is not None and not self.m.measured_q025 <= there.hz <= self.m.measured_q975
 
@@ -343,7 +343,7 @@ _MODES: Final = (
     Column("", None, lambda r: "outside" if r.is_outside else None),
     Column(None, "paired_by", lambda r: r.measured and r.measured.by),
 )
-# Of the name of a constant, its mean and its standard deviation in the unit of the plate file.
+# Columns of (name, mean, sd) of a constant, in plate-file units.
 _CONSTANTS: Final = (
     Column("", "name", lambda c: c[0]),
     Column("value", None, lambda c: f"{with_spread(c[1], c[2])[0]} {unit_of(c[0])}".rstrip()),
@@ -355,7 +355,6 @@ _CONSTANTS: Final = (
 
 @present.register
 def _present(result: PredictionResult) -> Report:
-    """The frequencies with their intervals, beside the measured ones where there are some."""
     specimen, stored = result.specimen, result.posterior
     measured = measured_of_modes(specimen, [m.mode for m in result.modes])
     rows = tuple(_Row(i, *each) for i, each in enumerate(zip(result.modes, measured, strict=True), 1))
@@ -448,7 +447,7 @@ def _origin(stored: StoredPosterior) -> str:
 
 
 def _contained(result: PredictionResult) -> str:
-    """The contents of the intervals beside the constants."""
+    """Sentence on the uncertainties contained in the intervals."""
     if result.sizes_of_posterior:
         sizes, exact = [*result.posterior.sizes], ""
     else:
@@ -458,7 +457,7 @@ def _contained(result: PredictionResult) -> str:
 
 
 def _noise(stored: StoredPosterior) -> str:
-    """The noise of a measurement, in proportion or in Hz, and what it leaves out."""
+    """Sentence on the noise of a measurement, relative or in Hz, and what it leaves out."""
     relative = stored.draws.get("relative_std")
     if "absolute_sd" in stored.draws:
         level = f"{significant(float(stored.draws['absolute_sd'].mean()), 2)} Hz"
@@ -501,7 +500,7 @@ def _shapes_figure(result: PredictionResult) -> Figure:
 
 
 def _intervals_figure(result: PredictionResult, rows: Sequence[_Row]) -> Figure:
-    """Intervals of each mode relative to its mean, of the frequency and of a measurement."""
+    """95 % intervals of each mode relative to its mean, for the frequency and for a measurement."""
     modes, at = result.modes, np.arange(len(rows))
     figure = new_figure(5.8, 0.34 * len(modes) + 1.5)
     axes = figure.add_subplot()

@@ -1,4 +1,4 @@
-"""Constants, stacking sequences and diagnosis of one plate as one answer: the question `report`."""
+"""The question `report`: constants, stacking sequences and diagnosis of one plate in one answer."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ from cpam_bayes.render.sentences import plate_argument
 from cpam_bayes.result import PlateResult, Result, document_of, present, within_time
 from cpam_bayes.running import SILENT, Watch
 
-# Probability of a stacking sequence with its images below which more than a footnote says that it was taken.
+# Below this probability, images included, a notice says which stacking sequence was assumed.
 _SURE = 0.95
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class FullReport(PlateResult):
-    """All that is asked of one plate.
+    """The full answer for one plate.
 
     Attributes
     ----------
-    specimen : as it was given, unknown angles included
-    identification : the posterior of the constants, or of a quick report their point estimates
+    specimen : as given, unknown angles included
+    identification : the posterior of the constants; in a quick report their point estimates
     diagnosis : what the plate model gets wrong
-    stacking : the posterior over stacking sequences, None where all angles are known and of a quick report
+    stacking : the posterior over stacking sequences, None where all angles are known and in a quick report
     quick : whether the slow parts were left out
-    all_rows : the constants with all frequencies of a list that some were left out of; None for another list
+    all_rows : the constants from all frequencies, where some were left out by hand; else None
     """
 
     command: ClassVar[str] = "report"
@@ -69,7 +69,7 @@ class FullReport(PlateResult):
 
     @property
     def parts(self) -> tuple[Result, ...]:
-        """The answers one by one: constants, stacking sequences, diagnosis."""
+        """The answers in order: constants, stacking sequences, diagnosis."""
         between = () if self.stacking is None else (self.stacking,)
         return (self.identification, *between, self.diagnosis)
 
@@ -84,7 +84,7 @@ class FullReport(PlateResult):
         Raises
         ------
         ValueError
-            If the report is a quick one.
+            For a quick report.
         """
         return self.identification.to_arviz()
 
@@ -104,19 +104,19 @@ def report(
     workers: int | None = None,
     watch: Watch = SILENT,
 ) -> FullReport:
-    """Constants, stacking sequences and diagnosis of a plate as one answer, for one page.
+    """Constants, stacking sequences and diagnosis of a plate in one answer, for one page.
 
-    Unknown ply angles are weighed by `sequence`; the constants and the diagnosis are then those of the most
-    probable stacking sequence.
+    Unknown ply angles are weighed by `sequence`; constants and diagnosis are then those of the most probable
+    stacking sequence.
 
     Parameters
     ----------
     plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
     quick : leave out what is slow: the constants are point estimates of `identify` instead of draws of
-        `sample`, unknown angles are those that the swarm finds, and no further test is ranked. A list that
+        `sample`, unknown angles are those found by the swarm, and no further test is ranked. A list that
         may lack modes is sampled all the same
     executor, workers : as for `diagnose`
-    watch : display of the progress; none where left out
+    watch : progress display; none if left out
 
     Raises
     ------
@@ -175,7 +175,7 @@ def report(
 
 
 def _answerable(specimen: Specimen) -> Specimen:
-    """Return the specimen, or raise `PlateFileError` with all that one of the parts would refuse."""
+    """The specimen itself; raises `PlateFileError` where one of the parts would refuse it."""
     layup = specimen.plate.layup
     if not layup.n_unknown:
         return require_diagnosable(specimen)
@@ -186,7 +186,7 @@ def _answerable(specimen: Specimen) -> Specimen:
 
 
 def _layup_notice(stacking: StackingResult | None) -> tuple[Notice, ...]:
-    """That one stacking sequence of several was taken for the constants and the diagnosis."""
+    """Notice that constants and diagnosis assume one stacking sequence of several."""
     if stacking is None:
         return ()
     answer = stacking.answer
@@ -207,7 +207,7 @@ _HOLDS: Final = "Here plate and list are taken as right: these are not the const
 
 @present.register
 def _present(result: FullReport) -> Report:
-    """One answer: the diagnosis with its constants, and the stacking sequences where angles are unknown.
+    """Report of all parts: the diagnosis with its constants, and stacking sequences for unknown angles.
 
     The constants of the identification, which allow for no error of the plate model, are folded away.
     """
@@ -225,7 +225,7 @@ def _present(result: FullReport) -> Report:
         for section in shown.sections
         if name == result.diagnosis.command or PLATE_DRAWING not in section.figures
     ]
-    # the plate first, what is folded last
+    # the plate drawing first, folded sections last
     behind.sort(key=lambda section: (PLATE_DRAWING not in section.figures, section.folded))
     return Report(
         summary=_summary(result, main.summary, [shown.summary for shown in answers.values()]),
@@ -252,7 +252,7 @@ def _present(result: FullReport) -> Report:
 
 
 def _summary(result: FullReport, main: Summary, answers: list[Summary]) -> Summary:
-    """That of the diagnosis, with the stacking sequences beside it."""
+    """The summary of the diagnosis, with the stacking sequences beside it."""
     command = f"cpam-bayes report {plate_argument(result.specimen)} --out DIR"
     taken = sentences(_layup_notice(result.stacking))
     quick = f"get the posterior and a ranking of further tests.  {command}" if result.quick else ""
@@ -268,7 +268,7 @@ def _summary(result: FullReport, main: Summary, answers: list[Summary]) -> Summa
 
 
 def _all_rows(result: FullReport) -> tuple[Section, ...]:
-    """The constants with the frequencies that were left out by hand, and without them."""
+    """The constants with and without the frequencies that were left out by hand."""
     if result.all_rows is None:
         return ()
     used, of_both = result.specimen.measurement, (result.all_rows, result.identification)
@@ -286,7 +286,7 @@ def _all_rows(result: FullReport) -> tuple[Section, ...]:
 
 
 def _if_right(name: str, shown: Report) -> tuple[Section, ...]:
-    """The identification as one section, and how it was computed."""
+    """The identification as one section, followed by how it was computed."""
     summary = shown.summary
     parts = [section for section in shown.sections if PLATE_DRAWING not in section.figures]
     computed = tuple(section for section in parts if section.title == COMPUTATION)
@@ -307,12 +307,12 @@ def _if_right(name: str, shown: Report) -> tuple[Section, ...]:
 
 
 def _figure_name(command: str, name: str) -> str:
-    """The name of a part's figure, of which there is one in all parts."""
+    """Figure name with its command; the plate drawing, which all parts share, keeps its name."""
     return name if name == PLATE_DRAWING else f"{command}_{name}"
 
 
 def _named_rows(parts: Mapping[str, Report], main: str) -> tuple[Rows, ...]:
-    """The tables of the other parts, named after their command."""
+    """The tables of the other parts, named after their commands."""
     return tuple(
         replace(rows, name=f"{name}_{rows.name}")
         for name, shown in parts.items()

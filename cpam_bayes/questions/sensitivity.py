@@ -1,4 +1,4 @@
-"""The paper's repetition on perturbed frequencies beside the posterior: the question `sensitivity`."""
+"""The question `sensitivity`: the paper's repetition on perturbed frequencies beside the posterior."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ from cpam_bayes.running import SILENT, Watch
 MAX_LEVEL = 0.5
 """Largest level of noise, as a fraction."""
 MAX_GROUPS = 1000
-"""Most perturbed lists at a level."""
+"""Largest number of perturbed lists per level."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -83,7 +83,7 @@ class SensitivityResult(PlateResult):
 
     Attributes
     ----------
-    study : all levels and interpretations of eq. (12)
+    study : cells of all levels and interpretations of eq. (12)
     table : the paper's table for a built-in specimen, None for other plates
     """
 
@@ -94,7 +94,7 @@ class SensitivityResult(PlateResult):
 
     @property
     def status(self) -> str:
-        """Either "converged", as the chains of all posteriors have, or "budget"."""
+        """Either "converged", or "budget" where the chains of a posterior have not converged."""
         return "converged" if self.reached_goal else "budget"
 
 
@@ -125,11 +125,11 @@ def sensitivity(
     readings : interpretations of eq. (12): noise as a fraction of each frequency ("relative"), or of the
         root mean square frequency ("rms")
     source : what is perturbed: the frequencies of the "model" at the reference constants, or the "measured"
-    n_modes : number of modes with ``source="model"``; as many as were measured, or 10, where left out
+    n_modes : number of modes with ``source="model"``; as many as were measured, or 10, if left out
     settings : of the swarms
     chains : of the ensembles
     executor, workers : as for `cb.sequence`
-    watch : display of the progress; none where left out
+    watch : progress display; none if left out
 
     Raises
     ------
@@ -223,7 +223,6 @@ def _rows(result: SensitivityResult, cell: Cell) -> tuple[ComparedRow, ...]:
 
 @present.register
 def _present(result: SensitivityResult) -> Report:
-    """The spread of each constant at each level, by repetition and by one posterior."""
     study = result.study
     by_cell = [_rows(result, cell) for cell in study.cells]
     rows = tuple(row for rows in by_cell for row in rows)

@@ -1,4 +1,4 @@
-"""The probability of every stacking sequence on the grid: the question `sequence`."""
+"""The question `sequence`: the probability of every stacking sequence on the grid."""
 
 from __future__ import annotations
 
@@ -91,28 +91,28 @@ from cpam_bayes.stacking.queries import (
 )
 from cpam_bayes.stacking.records import DEFAULT_SETTINGS, StackingPosterior
 
-# Pieces of the enumeration that progress is shown in.
+# Steps of the progress display.
 _PIECES = 64
-# Sequences that can be listed.
+# Largest number of listed sequences.
 MAX_LISTED = 2000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class StackingResult(PlateResult):
-    """The posterior over stacking sequences, the constants integrated over.
+    """The posterior over stacking sequences, the constants marginalised.
 
     Attributes
     ----------
     answer : the most probable sequences with their probabilities, marginals of the angles, sums
-    mixture : draws of the constants over all sequences, errors of sizes, mass and frequency scale in them
-    given : the sequence that the paper prints for a built-in specimen, None for other plates
+    mixture : draws of the constants over all sequences, errors of sizes, mass and frequency scale included
+    given : the paper's sequence for a built-in specimen, None for other plates
     fit : the most probable sequence beside the measured frequencies
     information : what the frequencies tell about each ply
-    explained : whether noise as stated explains what the most probable sequence leaves of the list
-    scale_errors : what errors of sizes, mass and frequency scale do to the constants
-    constants : over all sequences
-    reliances : intervals that rest on the bounds or the prior of another constant
-    top : sequences in the JSON document
+    explained : whether the stated noise explains the residuals of the most probable sequence
+    scale_errors : effect of errors of sizes, mass and frequency scale on the constants
+    constants : averaged over all sequences
+    reliances : intervals that depend on the bounds or the prior of another constant
+    top : number of sequences in the JSON document
     """
 
     command: ClassVar[str] = "sequence"
@@ -130,7 +130,7 @@ class StackingResult(PlateResult):
 
     @property
     def has_draws(self) -> bool:
-        """There are draws of a posterior."""
+        """True: the answer always has draws."""
         return True
 
     def to_arviz(self) -> Any:
@@ -139,7 +139,7 @@ class StackingResult(PlateResult):
 
     @property
     def status(self) -> str:
-        """Either "converged", as all chains of the constants have, or "not converged"."""
+        """Either "converged", where all chains of the constants have, or "not converged"."""
         return "converged" if self.mixture.converged else "not converged"
 
     @property
@@ -159,17 +159,17 @@ def sequence(
     workers: int | None = None,
     watch: Watch = SILENT,
 ) -> StackingResult:
-    """The posterior over every stacking sequence on the grid of the unknown angles, all equal a priori.
+    """The posterior over every stacking sequence on the grid of the unknown angles, with equal priors.
 
     Parameters
     ----------
     plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`, with "?" in its
         layup; built-in specimens take the unknown angles of Table 9(b)
-    top : most probable sequences to list
+    top : number of most probable sequences to list
     executor, workers : "serial", in this process; "processes", as many as cores or ``workers``, which needs
-        the call under ``if __name__ == "__main__":`` in a script; or a Dask cluster, see
+        the call to stand under ``if __name__ == "__main__":`` in a script; or a Dask cluster, see
         `cpam_bayes.parallel.open_executor`. The answer is the same
-    watch : display of the progress; none where left out
+    watch : progress display; none if left out
 
     Raises
     ------
@@ -238,7 +238,7 @@ def sequence(
 def stacking_result(
     answer: StackingPosterior, mixture: StackingMixture, given: GivenLayup | None, seed: int, top: int
 ) -> StackingResult:
-    """The posterior over stacking sequences with what is shown beside it, and its warnings."""
+    """The result of `sequence`: the posterior with fit, constants, information by ply, and notices."""
     specimen, fit = answer.specimen, best_fit(answer)
     measurement, layup, unknowns = (
         answer.conditional.template.measurement,
@@ -281,14 +281,13 @@ def stacking_result(
 
 
 def _reliances(answer: StackingPosterior, mixture: StackingMixture) -> tuple[Reliance, ...]:
-    """Reliances of the constants over all sequences."""
+    """Reliances among the constants over all sequences."""
     parameters, names = answer.conditional.parameters, answer.specimen.unknowns.names
     covariance = np.atleast_2d(np.cov(mixture.parameters[:, : len(names)].T))
     return reliances(names, covariance, np.array([parameters[name].prior.sd for name in names]))
 
 
 def _slips(specimen: Specimen, fit: BestFit, constants: tuple[Constant, ...]) -> tuple[Notice, ...]:
-    """Likely slips that ruin the answer."""
     residual = np.asarray(fit.residual)[np.isfinite(fit.residual)]
     misfit = float(np.sqrt(np.mean(residual**2))) if residual.size else 0.0
     measurement = specimen.measurement
@@ -303,7 +302,7 @@ def _slips(specimen: Specimen, fit: BestFit, constants: tuple[Constant, ...]) ->
 
 
 def _printed(answer: StackingPosterior) -> GivenLayup | None:
-    """The layup of Table 9(b) of a built-in specimen."""
+    """The printed layup of Table 9(b), if the specimen is built in."""
     name = answer.specimen.name
     printed = identified_layups().get(name)
     if printed is None or answer.specimen.source != f"built-in {name}":
@@ -312,20 +311,18 @@ def _printed(answer: StackingPosterior) -> GivenLayup | None:
 
 
 def _most_probable(answer: StackingPosterior) -> Specimen:
-    """The specimen with the most probable angles."""
     return with_angles(answer.specimen, answer.top[0])
 
 
 # Sequences on the first screen, and in the table behind it.
 _SHOWN: Final = 10
 _LISTED: Final = 30
-# Probability of the first sequence with its equals from which on the layup counts as determined.
+# Probability of the first sequence and its equals above which the layup counts as determined.
 _SURE: Final = 0.95
 
 
 @present.register
 def _present(result: StackingResult) -> Report:
-    """The most probable stacking sequences, and the constants over all of them."""
     answer, mixture, given = result.answer, result.mixture, result.given
     every = tuple(ListedSequence(answer, mixture, i) for i in range(min(result.top, len(answer.top))))
     sequences = Rows("sequences", SEQUENCES, every)
@@ -394,7 +391,7 @@ def _present(result: StackingResult) -> Report:
 
 
 def _headline(first: ListedSequence) -> str:
-    """The probability of the most probable layup, and what it is."""
+    """The most probable layup with its probability."""
     equal = int(first.answer.multiplicity[first.i]) - 1
     other = "another layup" if equal == 1 else f"one of {equal} layups"
     others = f", or {other} with the same frequencies" if equal else ""
@@ -436,7 +433,7 @@ def _next_step(result: StackingResult, first: ListedSequence) -> str:
 def _constants(
     answer: StackingPosterior, mixture: StackingMixture, relied_on: tuple[Reliance, ...], *, explained: bool
 ) -> tuple[Constant, ...]:
-    """The constants over all sequences; explained : as in `StackingResult`."""
+    """The constants averaged over all sequences; explained : as in `StackingResult`."""
     parameters, draws = answer.conditional.parameters, mixture.parameters
     reference, constants = answer.specimen.material.constants, []
     for i, name in enumerate(answer.specimen.unknowns.names):
@@ -464,7 +461,6 @@ def _reliance(result: StackingResult, told: Sequence[str]) -> tuple[str, ...]:
 
 
 def _frequencies(result: StackingResult) -> Rows:
-    """The list beside the most probable sequence."""
     measured = result.answer.conditional.template.measurement.frequencies
     rows = tuple(
         FrequencyRow(float(f), None if np.isnan(p) else float(p))
@@ -522,7 +518,7 @@ def _work(result: StackingResult) -> list[tuple[str, str]]:
 
 
 def _noise(result: StackingResult) -> str:
-    """The noise that the probabilities assume, and how well the first sequence fits with it."""
+    """The noise assumed by the probabilities, and how well the first sequence fits within it."""
     level = f"{significant(100 * result.fit.noise, 2)} % of a frequency"
     if result.answer.conditional.template.noise_is_inferred:
         return f"{level}, inferred, given the most probable sequence"
@@ -585,7 +581,7 @@ def _document(result: StackingResult, sequences: Rows, frequencies: Rows) -> dic
 
 
 def _constant_keys(answer: StackingPosterior, mixture: StackingMixture) -> dict[str, dict[str, float]]:
-    """Mean, sd and quantiles of the constants over the mixture's draws."""
+    """Mean, sd and quantiles of the constants over the draws of the mixture."""
     constants = {}
     for i, name in enumerate(answer.specimen.unknowns.names):
         x = mixture.parameters[:, i] * to_user(name, 1.0)

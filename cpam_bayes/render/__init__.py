@@ -1,1 +1,1 @@
-"""Reports as screens, pages, documents, tables and figures; computes nothing."""
+"""Renderings of reports: screens, pages, documents, tables and figures; nothing is computed."""

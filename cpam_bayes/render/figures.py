@@ -1,7 +1,7 @@
-"""The common part of all figures: how they are made and saved, their colours, the shapes of modes.
+"""Common parts of all figures: creation and saving, colours, mode shapes.
 
-A mode is a deflection in colours with its nodal lines, or the deformed grid of a mode in the plane.
-Matplotlib loads when a figure is drawn.
+A mode is drawn as a coloured deflection with its nodal lines, or, in the plane, as a deformed grid.
+Matplotlib is loaded when a figure is drawn.
 """
 
 from __future__ import annotations
@@ -22,31 +22,31 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure, FigureBase
 
 _DPI = 150
-# One meaning a colour, in all figures: what was measured; what the model of the answer says; what the plain
-# model says, before anything was found; what was known before, priors and references.
+# Colours by meaning, in all figures: measured; predicted by the model of the answer; by the plain model;
+# known before, priors and references.
 MEASURED, PREDICTED, BEFORE, REFERENCE = "#333333", "#c1440e", "#4878a8", "#8a8a8a"
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure, inches, whose parts keep clear of each other."""
+    """An empty figure, size in inches, with a constrained layout."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def headed(figure: FigureBase, title: str) -> None:
-    """Give a figure its title, at the left, where a narrow screen shows it."""
+    """Give a figure its title, on the left, where a narrow screen shows it."""
     figure.suptitle(title, x=0.01, horizontalalignment="left", fontsize=10)
 
 
 def save_figures(figures: Mapping[str, Figure], directory: Path) -> None:
-    """Write each figure as NAME.png and NAME.svg; the same figure gives the same bytes."""
+    """Write each figure as NAME.png and NAME.svg, reproducibly byte for byte."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     for name, figure in figures.items():
         FigureCanvasAgg(figure)
-        # One salt for two figures would give them the same element names on one page.
+        # A common salt would give elements of two figures on one page the same names.
         with mpl.rc_context({"svg.hashsalt": name}), warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Glyph")  # of a name that the font lacks: a box stands for it
             figure.savefig(directory / f"{name}.png", dpi=_DPI)
@@ -55,19 +55,19 @@ def save_figures(figures: Mapping[str, Figure], directory: Path) -> None:
 
 Array = NDArray[Any]
 Extent = tuple[float, float, float, float]
-"""Least and greatest x, and y."""
+"""Limits in x, then in y."""
 
 _COLUMNS = 3
-# Grid lines of an in-plane mode along each side, and how far it is moved, fractions of the plate.
+# Grid lines of an in-plane mode along each side, and its displacement as a fraction of the plate.
 _LINES, _MOVED = 9, 0.12
-# Nodal lines that cross are drawn on a grid so many times finer.
+# Refinement of the grid on which nodal lines are drawn.
 _FINER = 4
-# Fraction of the plate next to a held edge in which they are not drawn.
+# Fraction of the plate next to a held edge without nodal lines.
 _BLANK = 0.08
 
 
 def extent_of(length: float, width: float) -> Extent:
-    """The rectangle of a plate, from metres to millimetres."""
+    """The rectangle of a plate, mm, from its sides in m."""
     return 0.0, 1e3 * length, 0.0, 1e3 * width
 
 
@@ -79,7 +79,7 @@ def shapes_figure(
     extent: Extent,
     edges: str,
 ) -> Figure:
-    """All shapes, (3, n, n) displacements each, three in a row."""
+    """All shapes, displacements (3, n, n) each, three to a row."""
     columns = min(_COLUMNS, len(shapes))
     rows = -(-len(shapes) // columns)
     x0, x1, y0, y1 = extent
@@ -98,9 +98,9 @@ def shapes_figure(
 def draw_shape(
     axes: Axes, shape: Array, extent: Extent, edges: str, *, in_plane: bool, linewidth: float = 1.0
 ) -> None:
-    """One shape, (3, n, n): u, v and w on a regular grid, NaN off the plate.
+    """Draw one shape (3, n, n): u, v and w on a regular grid, NaN off the plate.
 
-    edges : next to those that are held no nodal line is drawn, as the deflection is zero there to rounding.
+    edges : next to held ones no nodal line is drawn, as the deflection there is zero up to rounding.
     """
     axes.set_axis_off()
     if in_plane:
@@ -111,7 +111,7 @@ def draw_shape(
 
 
 def _draw_deflection(axes: Axes, w: Array, extent: Extent, edges: str, linewidth: float) -> None:
-    # A vector's sign is arbitrary; the first of the largest deflections is drawn upwards.
+    # The sign of a mode is arbitrary; the first of the largest deflections is drawn upwards.
     off = np.isnan(w)
     flat = np.where(off, 0.0, w).ravel()
     large = np.flatnonzero(np.abs(flat) > 0.99 * np.abs(flat).max())

@@ -1,4 +1,4 @@
-"""Result files: written beside their place and moved there when all of them are whole."""
+"""Result files: written to a draft beside their place, and moved there when complete."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from cpam_bayes.storage import draft_directory, put_in_place, replaceable, write
 _FIGURES = "figures"
 _DRAWS = "posterior.nc"
 
-# Where the files go in the end, and where they are written first.
+# Final directory of the files, and the draft directory.
 Stage = tuple[Path, Path]
 
 
 class _Answer(Protocol):
-    """The result of a question as it is saved, `cpam_bayes.result.Result`."""
+    """The result of a question as it is saved, see `cpam_bayes.result.Result`."""
 
     command: ClassVar[str]
 
@@ -45,7 +45,7 @@ class _Answer(Protocol):
 
 @contextmanager
 def staging(out: str | None) -> Iterator[Stage | None]:
-    """Make the directory and a place to write in, before any work; leave nothing if the work fails.
+    """Make the directory and its draft before any work; leave nothing behind if the work fails.
 
     Raises ``ValueError`` if `out` cannot be made or written to.
     """
@@ -64,12 +64,12 @@ def staging(out: str | None) -> Iterator[Stage | None]:
 def save(result: _Answer, stage: Stage | None) -> tuple[str, ...]:
     """Write NAME.json, the figures as PNG and SVG, other files; raise ``OSError`` where that fails.
 
-    Returns what became of the page and the draws of another command, a sentence each.
+    Returns a sentence for each file of another command that was renamed.
     """
     if stage is None:
         return ()
     directory, draft = stage
-    # What took longest goes to its place first: whatever fails after it, it is there.
+    # The answer goes to its place first: it took longest, and survives whatever fails afterwards.
     report = result.saved_report()
     (draft / f"{result.command}.json").write_text(json_text(report.document), encoding="utf-8")
     _moved(draft, directory)
@@ -91,7 +91,7 @@ def save(result: _Answer, stage: Stage | None) -> tuple[str, ...]:
 
 
 def require_table(path: str | None, ending: str) -> None:
-    """Raise ``ValueError``, before any work, for a file that a table cannot be written to."""
+    """Raise ``ValueError``, before any work, for a table file that cannot be written."""
     if path is None:
         return
     file = Path(path)
@@ -115,16 +115,16 @@ def save_tables(result: _Answer, csv: str | None, xlsx: str | None) -> None:
 
 
 def _encoded(text: str, name: str) -> bytes:
-    """A text as its file holds it; the mark of a table tells Excel that it is UTF-8."""
+    """A text as bytes of its file; CSV gets a byte order mark, by which Excel recognises UTF-8."""
     return text.encode("utf-8-sig" if name.casefold().endswith(".csv") else "utf-8")
 
 
 def _draws_written(result: _Answer, draft: Path, directory: Path) -> tuple[str, ...]:
-    """Write the draws; what became of those of another command."""
+    """Write the draws; returns sentences on renamed draws of another command."""
     from cpam_bayes.inference.sampling import command_of_draws
 
     result.to_arviz().to_netcdf(str(draft / _DRAWS))
-    # those of `report` are of `identify`
+    # draws of `report` are those of `identify`
     command = command_of_draws(draft / _DRAWS) or result.command
     return _other_kept(directory / _DRAWS, _DRAWS, command, command_of_draws)
 
@@ -132,7 +132,7 @@ def _draws_written(result: _Answer, draft: Path, directory: Path) -> tuple[str, 
 def _other_kept(
     file: Path, name: str, command: str, command_of_file: Callable[[Path], str | None]
 ) -> tuple[str, ...]:
-    """Keep a file of another command as COMMAND_NAME; an older one of this command goes."""
+    """Rename a file of another command to COMMAND_NAME, and delete an older one of this command."""
     file.with_name(f"{command}_{name}").unlink(missing_ok=True)
     other = command_of_file(file) if file.is_file() else None
     if other is None or other == command:
@@ -151,7 +151,7 @@ def _moved(draft: Path, directory: Path) -> None:
 
 
 def _made(directory: Path) -> list[Path]:
-    """Make a directory and return the ones that were not there, the innermost first."""
+    """Make a directory; returns the directories created, the innermost first."""
     try:
         missing = [path for path in (directory, *directory.parents) if not os.path.lexists(path)]
         directory.mkdir(parents=True, exist_ok=True)

@@ -1,8 +1,8 @@
-"""Where to hold a plate and where to hit it, from its mode shapes: places, rows, drawing and sentence.
+"""Where to hold and hit a plate, from its mode shapes: places, rows, drawing and sentence.
 
-Supports of little stiffness k raise the square of a mode's angular frequency by k times the sum of its
-squared mass-normalised deflections there (Rayleigh, Theory of Sound, section 88). They stand where the mode
-that they shift most is shifted least.
+Supports of small stiffness k raise the square of a mode's angular frequency by k times the sum of its squared
+mass-normalised deflections there (Rayleigh, Theory of Sound, section 88). They are placed where the largest
+shift of any mode is smallest.
 """
 
 from __future__ import annotations
@@ -32,19 +32,20 @@ _Node = tuple[int, int]
 
 _NAME: Final = "handling"
 _TITLE: Final = "Where to hold and where to hit"
-# Places are so far off the edges, as a fraction of the side; a mode that moves less, of its largest, is weak.
+# Least distance from the edges, as a fraction of the side; a mode below this fraction of its largest
+# deflection is weak.
 _MARGIN, _WEAK = 0.04, 0.1
-# Least distance of the places of the hit and of the sensor, fractions of the sides.
+# Least distance between the places of the hit and of the sensor, in fractions of the sides.
 _APART: Final = 0.3
 
 
 @dataclass(frozen=True, slots=True)
 class Handled:
-    """One mode that bends the plate.
+    """One bending mode at the places.
 
     number : from 1; frequency : Hz
-    across, lines : the two lines x or y = ..., mm, that it alone would be held on; "" of a held plate
-    at_pads, at_hit, at_sensor : the largest deflection there, of the mode's largest
+    across, lines : the two lines x or y = ..., mm, that would disturb it least if alone; "" for a held plate
+    at_pads, at_hit, at_sensor : the largest deflection there, as a fraction of the mode's largest
     """
 
     number: int
@@ -60,8 +61,8 @@ class Handled:
 class Handling:
     """Places for all modes together.
 
-    pads : of four soft supports, none of a plate with a held edge
-    hits : of the hit, and a second one where a mode is weak at the first; sensor : where to measure
+    pads : four soft supports; none for a plate with a held edge
+    hits : the hit, and a second one where a mode is weak at the first; sensor : where to measure
     """
 
     modes: tuple[Handled, ...]
@@ -71,7 +72,7 @@ class Handling:
 
     @property
     def sentence(self) -> str:
-        """All of it in one sentence."""
+        """All places in one sentence."""
         (x, y), *_ = self.pads or ((0.0, 0.0),)
         on = f"Hold it on four soft pads, {x:.0f} mm from each end along x and {y:.0f} mm along y; hit"
         hits = " and then ".join(f"({x:.0f}, {y:.0f})" for x, y in self.hits)
@@ -80,7 +81,7 @@ class Handling:
 
     @property
     def keys(self) -> dict[str, Any]:
-        """Of a document."""
+        """Keys of a document."""
         return {
             "pads_mm": [list(p) for p in self.pads],
             "hits_mm": [list(p) for p in self.hits],
@@ -90,7 +91,7 @@ class Handling:
 
 
 def handling_of(specimen: Specimen, modes: Sequence[Mode], shapes: Sequence[Any]) -> Handling | None:
-    """The places for the modes that bend a rectangular plate; None where there is none.
+    """The places for the bending modes of a rectangular plate; None where there are none.
 
     shapes : of each mode, with w on a regular grid of the plate, (n, n), x first
     """
@@ -110,7 +111,7 @@ def handling_of(specimen: Specimen, modes: Sequence[Mode], shapes: Sequence[Any]
         hits.append(_best(w[weak].min(axis=0), allowed))
     away = np.hypot((along - along[hits[0][0]])[:, None], along - along[hits[0][1]])
     sensor = _best(w.min(axis=0), allowed & (away >= _APART))
-    # over the squared frequency: relative shifts but for a common factor
+    # over the squared frequency: relative shifts up to a common factor
     square = w**2 / np.mean(w**2, axis=(1, 2), keepdims=True)
     is_free = all(edge.is_free for edge in conditions(specimen.plate.edges))
     pads = _pads(square / f[:, None, None] ** 2, allowed) if is_free else []
@@ -132,13 +133,13 @@ def handling_of(specimen: Specimen, modes: Sequence[Mode], shapes: Sequence[Any]
 
 
 def _best(value: NDArray[Any], allowed: NDArray[Any]) -> _Node:
-    """The node of the largest value, of equal ones the first."""
+    """The node of the largest value, the first of equal ones."""
     i, j = np.unravel_index(int(np.argmax(np.where(allowed, value.round(9), -np.inf))), value.shape)
     return int(i), int(j)
 
 
 def _pads(shift: NDArray[Any], allowed: NDArray[Any]) -> list[_Node]:
-    """Four nodes, mirror images, where the largest sum of the modes' shifts (modes, n, n) is least."""
+    """Four mirror-image nodes where the largest summed shift of any mode, shifts (modes, n, n), is least."""
     four = shift + shift[:, ::-1] + shift[:, :, ::-1] + shift[:, ::-1, ::-1]
     last = len(allowed) - 1
     quarter = np.zeros_like(allowed)
@@ -148,7 +149,7 @@ def _pads(shift: NDArray[Any], allowed: NDArray[Any]) -> list[_Node]:
 
 
 def _lines(square: NDArray[Any], along: NDArray[Any], inner: NDArray[Any]) -> tuple[str, float]:
-    """The direction across which two mirrored lines disturb a mode least, and the place of the first."""
+    """Direction across which two mirrored lines disturb a mode least, and the position of the first."""
     found = []
     for across, mean in zip("xy", (square.mean(axis=1), square.mean(axis=0)), strict=True):
         both = np.where(inner, mean + mean[::-1], np.inf)[: (len(along) + 1) // 2]
@@ -182,19 +183,19 @@ _COLUMNS: Final = (
 
 
 def handling_rows(handling: Handling) -> Rows:
-    """What each mode does at the places."""
+    """Deflection of each mode at the places."""
     return Rows(_NAME, _COLUMNS, handling.modes, flagged=lambda m: m.at_hit < _WEAK)
 
 
 def handling_section(handling: Handling | None) -> tuple[Section, ...]:
-    """The picture and the rows; nothing where there are no places."""
+    """Section with drawing and rows; empty without places."""
     if handling is None:
         return ()
     return (Section(_TITLE, (handling_rows(handling).table(_TITLE),), (_NAME,), folded=False),)
 
 
 def handling_drawing(specimen: Specimen, handling: Handling | None) -> tuple[Drawing, ...]:
-    """The plate with the places on it."""
+    """The plate with the places marked."""
     if handling is None:
         return ()
     pads = "Blue rings: soft pads, where the mode that they shift most is shifted least. "

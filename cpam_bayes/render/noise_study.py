@@ -1,4 +1,4 @@
-"""A noise study for a reader: rows, reasons of differences, the paper beside it, the figure."""
+"""The noise study: rows, reasons of differences, comparison with the paper, figure."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Inversions that the paper's means are over.
+# Inversions behind each mean in the paper.
 _PAPER_GROUPS: Final = 10
 
 
@@ -34,42 +34,42 @@ class ComparedRow(NamedTuple):
 
     @property
     def name(self) -> str:
-        """As inside, "E1"."""
+        """Internal name, "E1"."""
         return self.study.without_noise.constants[self.i].name
 
     @property
     def value(self) -> float:
-        """Found without noise."""
+        """Value found without noise."""
         return self.study.without_noise.constants[self.i].value
 
     @property
     def comparison(self) -> Comparison:
-        """The comparison of repetition and posterior."""
+        """Comparison of repetition and posterior."""
         return self.cell.comparisons[self.i]
 
     @property
     def printed(self) -> float | None:
-        """The paper's percentage at this level, where it has one."""
+        """The paper's percentage at this level, if any."""
         level = level_percent(self.cell.level)
         return None if self.table is None else self.table.percent_error(user_name(self.name), level)
 
     @property
     def printed_over_error(self) -> float | None:
-        """It over the standard error that a mean of the paper's ten inversions has here."""
+        """The paper's percentage over the standard error of a mean of its ten inversions here."""
         sd = float(self.cell.repetition.sd[self.i])
         error = 100.0 * sd / math.sqrt(_PAPER_GROUPS) / abs(self.value)
         return None if self.printed is None or error == 0.0 else self.printed / error
 
     def user(self, values: Any) -> float:
-        """The constant's of some SI values, in the unit of the plate file."""
+        """One entry of SI values of the constants, in plate-file units."""
         return to_user(self.name, 1.0) * float(values[self.i])
 
     def spread(self, values: Any) -> float:
-        """The constant's of some standard deviations, % of the value without noise."""
+        """One entry of standard deviations of the constants, % of the value without noise."""
         return 100.0 * float(values[self.i]) / abs(self.value)
 
     def written(self, by: Any) -> tuple[str, str]:
-        """Mean and standard deviation by repetition or posterior."""
+        """Mean and standard deviation by repetition or posterior, as text."""
         return with_spread(self.user(by.mean), self.user(by.sd))
 
 
@@ -139,7 +139,7 @@ def noise_text(cell: Cell) -> str:
 
 
 def difference_sentences(rows: Sequence[ComparedRow]) -> tuple[str, ...]:
-    """One sentence for each constant, level and reading that differs, with the numbers that say why."""
+    """One sentence for each difference at a constant, level and reading, with the numbers that explain it."""
     sentences = []
     for row in rows:
         comparison = row.comparison
@@ -187,7 +187,7 @@ def _reason(row: ComparedRow, cause: Cause) -> str:
 
 
 def beside_paper(study: Sensitivity, table: PrintedTable | None) -> tuple[str, ...]:
-    """The printed percentages beside the scatter of a mean of ten, and what is odd about them."""
+    """Sentences on the printed percentages beside the scatter of a mean of ten, and on contradictions."""
     if table is None:
         return ()
     n = len(study.without_noise.constants)
@@ -218,7 +218,7 @@ def beside_paper(study: Sensitivity, table: PrintedTable | None) -> tuple[str, .
 
 
 _READING_COLOURS: Final = {"relative": "#1f5f8b", "rms": "#c1440e"}
-# Marker and words of the legend.
+# Markers and words of the legend.
 _MARKS: Final = (
     ("o", "inversions: mean, sd (bar), standard error of the mean (thick)"),
     ("s", "posterior: mean and sd"),
@@ -227,7 +227,7 @@ _MARKS: Final = (
 
 
 def draw_constant(axes: Axes, document: Mapping[str, Any], name: str) -> None:
-    """One constant at all levels: differences from the inversion without noise, in percent of it."""
+    """Draw one constant at all levels: differences from the inversion without noise, %."""
     reference = document["without_noise"]["constants"][name]["value"]
     readings = list(document["levels"][0]["readings"])
     for i, level in enumerate(document["levels"]):
@@ -269,7 +269,7 @@ def draw_constant(axes: Axes, document: Mapping[str, Any], name: str) -> None:
 
 
 def legend_entries(readings: Sequence[str]) -> list[Any]:
-    """Handles that explain markers and colours."""
+    """Legend handles of markers and colours."""
     from matplotlib.lines import Line2D
 
     marks = [

@@ -1,6 +1,6 @@
-"""The sentence of each notice, written from its facts: the only place that does.
+"""The sentence of each notice, made from its facts; the only place with such sentences.
 
-A sentence says what is wrong, with its number, and what to do about it; nothing reads it back.
+A sentence says what is wrong, with its number, and what to do about it; nothing parses it.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from cpam_bayes.plate.edges import CONDITIONS, PLACES
 
 Facts: TypeAlias = Mapping[str, Any]
 
-# Frequencies and plates that are named before "and so on".
+# Frequencies and plates named before "and ... more".
 _MOST_NAMED = 5
 
 
 def sentences(notices: Iterable[Notice], *severities: Severity) -> tuple[str, ...]:
-    """The sentences of the notices of some severities, of all where none is given, each once and in order."""
+    """Sentences of the notices of some severities, of all if none is given; each once, in order."""
     said = (sentence_of(n) for n in notices if not severities or n.severity in severities)
     return tuple(dict.fromkeys(said))
 
 
 def sentence_of(notice: Notice) -> str:
-    """A notice in words, in the units of plate files.
+    """The sentence of a notice, in plate-file units.
 
-    raises KeyError if there is no sentence of its code
+    raises KeyError if its code has no sentence
     """
     return _written(notice.code, notice.facts)
 
@@ -52,9 +52,9 @@ class _Template(Formatter):
 
 
 def capitalised(text: str) -> str:
-    """A text as a sentence of its own: a capital letter first, a full stop last.
+    """A text as a sentence: a capital first letter and a full stop.
 
-    A first word that is written as in a plate file or a formula keeps its small letter.
+    A first word that is a key or a symbol keeps its lower case.
     """
     first = text.split(" ", 1)[0].rstrip(",;:")
     begun = text[:1].upper() + text[1:] if first.isalpha() and first.islower() else text
@@ -66,7 +66,7 @@ def _percent(fraction: float, digits: int = 2) -> str:
 
 
 def _short_percent(fraction: float) -> str:
-    """As it was stated, without the error of a product."""
+    """The percentage as stated, without rounding error of the product."""
     return f"{round(100.0 * fraction, 10):g} %"
 
 
@@ -80,7 +80,7 @@ def _names(names: Iterable[str]) -> str:
     return listed(list(names), "and")
 
 
-# Of plate files and lists.
+# Plate files and lists.
 
 
 def _units(facts: Facts) -> str:
@@ -165,7 +165,7 @@ def _sizes_exact(facts: Facts) -> str:
     return f"{_names(names)} are assumed exact here: their stated tolerances are ignored."
 
 
-# Of labels and shapes.
+# Labels and shapes.
 
 
 _USES: Final = {
@@ -204,11 +204,11 @@ def _doubtful_list(facts: Facts) -> str:
     )
 
 
-# Of the fit.
+# The fit.
 
 
 def _frequencies_of(facts: Facts) -> str:
-    """The frequencies of an answer, or those of one plate of several."""
+    """The frequencies of an answer, or of one of several plates, in words."""
     return f"the frequencies of {facts['plate']}" if "plate" in facts else "these frequencies"
 
 
@@ -249,7 +249,7 @@ _OF_SLIP: Final = {
 
 
 def _explained(facts: Facts) -> str:
-    """The slips without which a list fits."""
+    """The slips that explain a misfit, in words."""
     if not facts.get("slips"):
         return ""
     said = [
@@ -261,7 +261,6 @@ def _explained(facts: Facts) -> str:
 
 
 def _clamped(edges: str) -> str:
-    """The places of the clamps."""
     return listed([p for p, e in zip(PLACES, edges, strict=True) if CONDITIONS[e].is_clamp], "and")
 
 
@@ -310,7 +309,7 @@ def _search_model(facts: Facts) -> str:
 
 
 def _constraint(constraint: Constraint) -> str:
-    """A constraint with its material, and what lifts it."""
+    """A violated constraint with its material, and the model without it."""
     text = f"{constraint.text} of {constraint.of}" if constraint.of else constraint.text
     lifted = ""
     if constraint.symmetry == "transversely_isotropic":
@@ -333,7 +332,7 @@ def _repeatability(facts: Facts) -> str:
     return "any believable repeatability" if facts["inferred"] else "the stated repeatability"
 
 
-# Of diagnoses.
+# Diagnoses.
 
 
 def _several_optima(facts: Facts) -> str:
@@ -360,7 +359,7 @@ def _list_over_noise(facts: Facts) -> str:
     ) + (_explained(facts) or ": check this list, its edges and masses.")
 
 
-# Of stacking sequences.
+# Stacking sequences.
 
 
 def _check_layup(facts: Facts) -> str:
@@ -378,7 +377,7 @@ def _chains_of(facts: Facts) -> str:
     return "The chains of the given sequence" if number is None else f"The chains of sequence {number}"
 
 
-# Of noise studies.
+# Noise studies.
 
 
 def _level(facts: Facts) -> str:
@@ -388,7 +387,7 @@ def _level(facts: Facts) -> str:
     return f"{percent} of each frequency"
 
 
-# Of the paper, batches, predictions.
+# The paper, batches, predictions.
 
 
 def _failed_plates(facts: Facts) -> str:
@@ -440,7 +439,7 @@ def _other_constants(facts: Facts) -> str:
     return f"The posterior held constants fixed that have other values in the plate file: {_names(each)}."
 
 
-# Of measured responses.
+# Measured responses.
 
 
 def _no_poles(facts: Facts) -> str:
@@ -488,7 +487,7 @@ def _silent_channels(facts: Facts) -> str:
     return f"{are} constant or noise alone: is a sensor connected there? Channels with modes are used."
 
 
-# Of the time limit.
+# The time limit.
 
 
 def _time_up(facts: Facts) -> str:
@@ -511,7 +510,7 @@ _WAYS: Final[Mapping[str, Callable[[Any], str]]] = {
     "two digits": lambda value: significant(value, 2),
     "whole percent": lambda fraction: f"{100.0 * fraction:.0f} %",
 }
-"""How a template writes a fact."""
+"""Format of a fact in a template -> function."""
 
 _PHRASES: Final[Mapping[str, Callable[[Facts], str]]] = {
     "at_noise": _level,
@@ -520,7 +519,7 @@ _PHRASES: Final[Mapping[str, Callable[[Facts], str]]] = {
     "of_plate": _of_plate,
     "repeatability": _repeatability,
 }
-"""Parts of several sentences that need more than one fact."""
+"""Phrases of several sentences that need more than one fact."""
 
 SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "as_written": "{text:sentence}",
@@ -729,7 +728,7 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "clipped_files": "Clipped and not used: {files:commas}. Lower the gain and hit again.",
     "repeated_files": "Given twice, or the same as another file, and counted once: {files:commas}.",
     "time_up": _time_up,
-    # what is missing, as a part of the sentence above
+    # what is missing, in the sentence of time_up
     "cut_swarm": "a swarm ended after {done} of {of} iterations",
     "cut_swarms": "{done} of at least {of} swarms ran",
     "cut_chains": "emcee ended after {done} of at most {of} steps",

@@ -1,6 +1,6 @@
 """An answer as one self-contained HTML page: the first screen, the plate and the fit, the rest folded.
 
-The page holds its style and its figures, has no script, and forbids itself to fetch anything.
+The page embeds its style and figures, has no script, and forbids itself to fetch anything.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ from cpam_bayes.render.report import (
 )
 
 PAGE: Final = "report.html"
-"""Name of the page of every command."""
+"""File name of the page of every command."""
 
-# A drawing of more bytes than this is embedded as pixels.
+# A larger SVG is embedded as PNG.
 _MAX_SVG_BYTES: Final = 150_000
 # Smallest scale of a figure on a page.
 _LEAST_SCALE: Final = 0.86
@@ -44,7 +44,7 @@ _COMMAND: Final = re.compile(r'<meta name="generator" content="cpam-bayes (\w+)"
 _JOINED: Final = re.compile(
     r"(?<=\d) (?=%|(?:GPa|MPa|mm|um|Hz|kg|g)\b)|(?<=\d) (?=\+-)|(?<=\+-) (?=\d)|(?<=[<>]=) "
 )
-"""Spaces at which no line is broken: before units, within a tolerance, after a sign of order."""
+"""Spaces at which lines are not broken: before units, within a tolerance, after an inequality sign."""
 _LIBRARIES: Final = ("numpy", "scipy", "emcee")
 
 
@@ -59,26 +59,26 @@ TERMS: Final = {
     "k-hat": "tail index of importance weights: above 0.7 their average is not to be trusted",
     "label": "a mode named by its nodal lines across x and across y: (1,1) is the first twist of a free "
     "plate",
-    "missed mode": "a mode in the range of the list that is not in it",
+    "missed mode": "a mode within the list's range but not in the list",
     "nat": "unit of a log probability: 1 nat is a factor of 2.72",
     "noise": "scatter of a measured frequency about that of its mode",
-    "p-value": "the probability of residuals as large or larger if the model is right, with the noise that "
-    "is named beside it",
+    "p-value": "the probability of residuals at least as large if the model is right, with the noise "
+    "named beside it",
     "plain model": "the plate as its file says, with nothing wrong",
     "posterior": "the probability of the constants after the measurement",
     "prior": "the probability of the constants, or of the size of a cause, before the measurement",
-    "R-hat": "spread between chains over that within them: 1.01 and more means not converged",
+    "R-hat": "spread between chains over that within them: 1.01 or more means not converged",
     "repeatability": "the scatter of a frequency from test to test of one plate",
     "residual": "predicted / measured - 1",
     "rms": "root mean square, here of the relative residuals",
     "signature": "how a cause shifts the frequencies, less what the constants can imitate",
     "walker": "one of the points that an ensemble sampler moves",
 }
-"""Word -> its meaning on a page, as docs/glossary.md has it."""
+"""Word -> its meaning on a page, as in docs/glossary.md."""
 
 
 def terms_section(text: str) -> Section:
-    """The words that a text uses, with what they mean."""
+    """Section with the terms used in a text and their meanings."""
     used = tuple(
         (word, meaning)
         for word, meaning in TERMS.items()
@@ -89,10 +89,10 @@ def terms_section(text: str) -> Section:
 
 @dataclass(frozen=True, slots=True)
 class Image:
-    """A figure as a page holds it.
+    """A figure embedded in a page.
 
-    source : a data URI
-    width : of the figure at its own size, CSS pixels
+    source : data URI
+    width : natural width of the figure, CSS pixels
     """
 
     source: str
@@ -101,7 +101,7 @@ class Image:
 
     @property
     def least_width(self) -> int:
-        """The width below which its smallest letters, of 8 points, would be below 9 pixels."""
+        """Width below which the smallest letters, of 8 points, would be less than 9 pixels high."""
         return math.ceil(_LEAST_SCALE * self.width)
 
 
@@ -113,10 +113,10 @@ def write_page(
     seed: int,
     about: Sequence[Specimen],
 ) -> None:
-    """Write the page with the figures that lie in the directory's ``figures``.
+    """Write the page, with the figures in the directory's ``figures``.
 
-    report : with the JSON document that is saved beside the page, and all drawings
-    about : the plates that were asked about
+    report : with all drawings and the JSON document that is saved beside the page
+    about : the plates asked about
     """
     document, drawings = report.document, report.drawings
     images = {d.name: _image(directory / "figures" / d.name, d.caption) for d in drawings}
@@ -133,7 +133,7 @@ def write_page(
 
 
 def _words(report: Report, captions: Iterable[Caption]) -> str:
-    """All that a page says, but for the words inside its figures."""
+    """All text of a page except that inside figures."""
     summary = report.summary
     tables = (*summary.tables, *(table for section in report.sections for table in section.tables))
     cells = (" ".join((table.title, *(table.headings or ()), *chain(*table.rows))) for table in tables)
@@ -142,7 +142,7 @@ def _words(report: Report, captions: Iterable[Caption]) -> str:
 
 
 def command_of(page: Path) -> str | None:
-    """The command that wrote a page, None for a file of something else."""
+    """The command that wrote a page, None for any other file."""
     found = _COMMAND.search(page.read_text(encoding="utf-8", errors="replace"))
     return found[1] if found else None
 
@@ -155,7 +155,7 @@ def page_text(
     made: str = "",
     command: str = "",
 ) -> str:
-    """The page; images : by the names that the sections give. made, command : what made the page."""
+    """HTML of the page; images : by the names in the sections. made, command : what made the page."""
     template = _environment().get_template("page.html")
     shown = [s for s in merged(sections) if s.figures or any(table.rows for table in s.tables)]
     return template.render(
@@ -169,7 +169,7 @@ def page_text(
 
 
 def fragment(summary: Summary) -> str:
-    """The first screen, for a notebook."""
+    """HTML of the first screen, for a notebook."""
     shown: Any = _environment().get_template("tables.html").module
     return f"<p><b>{escape(summary.title)}</b></p>\n{shown.answer(summary, 4)}"
 
@@ -184,7 +184,7 @@ def _environment() -> Environment:
         keep_trailing_newline=True,
     )
     environment.filters["typeset"] = _typeset
-    # the title of a table without what it explains
+    # the title of a table without its explanation
     environment.filters["brief"] = lambda title: re.split("[:;,]", title)[0]
     environment.filters["command"] = _command
     style = environment.get_template("style.css").render()
@@ -193,20 +193,20 @@ def _environment() -> Environment:
 
 
 def _typeset(text: str) -> Markup:
-    """A text of the screen as print has it: signs of its own, and words of the command line as code."""
+    """Text as HTML with typographic signs; words in backquotes become code."""
     kept = _JOINED.sub("\N{NO-BREAK SPACE}", text)
     plain = str(escape(kept.replace("+-", "\N{PLUS-MINUS SIGN}")))
     return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", plain))
 
 
 def _command(text: str) -> Markup:
-    """A next step, whose command stands after two spaces."""
+    """A next step, whose command follows two spaces."""
     said, _, line = text.partition("  ")
     return _typeset(f"{said} `{line}`" if line else said)
 
 
 def _image(figure: Path, caption: Caption) -> Image:
-    """A figure as lines where they are few, as pixels where they are many."""
+    """A figure as SVG, or as PNG where the SVG is large."""
     drawn = figure.with_suffix(".svg").read_bytes()
     points = re.search(rb'<svg[^>]*\swidth="([0-9.]+)pt"', drawn)
     assert points is not None, f"{figure}: no width"
@@ -218,7 +218,7 @@ def _image(figure: Path, caption: Caption) -> Image:
 
 
 def _computation(document: Mapping[str, Any], command: str, seed: int, about: Sequence[Specimen]) -> Section:
-    """Versions, seed, time and hashes: what repeats the answer, and what tells whether it is this one."""
+    """Section of versions, seed, time and hashes, by which the answer is reproduced and recognised."""
     libraries = ", ".join(f"{name} {version(name)}" for name in _LIBRARIES)
     rows = [
         ("program", f"cpam_bayes {__version__}, {libraries}"),

@@ -1,4 +1,4 @@
-"""A plate and what was measured of it: in words, drawn to scale, and its measured shapes beside the modes."""
+"""The plate and its measurement: in words, drawn to scale, and measured shapes beside the modes."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NO_AIR = "not in the model"
-# Shorter side over thickness from which transverse shear hardly shows in the lowest modes.
+# Shorter side / thickness from which transverse shear hardly affects the lowest modes.
 THIN = 20.0
 
 
 def plate_section(specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> Section:
-    """The plate as it was computed, drawn, and what was measured of it.
+    """Section of the plate as computed, with its drawing, and of its measurement.
 
     air_shifts : see `PlateResult.air_shifts`
     """
@@ -40,7 +40,7 @@ def plate_section(specimen: Specimen, air_shifts: NDArray[np.float64] | None) ->
 
 
 def plate_head(specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> Table:
-    """The plate as the file gives it, and where the file says more.
+    """Table of the plate as in its file.
 
     air_shifts : see `PlateResult.air_shifts`
     """
@@ -66,7 +66,7 @@ def plate_head(specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> Ta
 
 
 def measured_facts(specimen: Specimen) -> Table:
-    """The frequencies as the laboratory gives them, and what it says of their quality."""
+    """Table of the measured frequencies and their quality."""
     measurement = specimen.measurement
     if measurement is None:
         return facts("What was measured", ())
@@ -98,7 +98,7 @@ def measured_facts(specimen: Specimen) -> Table:
 
 
 def _damping(measurement: Measurement) -> tuple[tuple[str, str], ...]:
-    """Damping ratios and loss factors, where they were measured."""
+    """Rows of damping ratios and loss factors, where measured."""
     ratios, factors = measurement.damping, measurement.loss_factors
     if ratios is None or factors is None:
         return ()
@@ -109,7 +109,7 @@ def _damping(measurement: Measurement) -> tuple[tuple[str, str], ...]:
 
 
 def _material(specimen: Specimen) -> str:
-    """The name of the material, and what it is where the layup does not tell."""
+    """Names of the materials, with the symmetry where the layup does not show it."""
     said = (
         f"{part.name or name or 'not named'}{', orthotropic' if part.symmetry == 'orthotropic' else ''}"
         for name, part in specimen.material.parts.items()
@@ -118,7 +118,7 @@ def _material(specimen: Specimen) -> str:
 
 
 def air_text(specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> str:
-    """The air in the model, or what it would change by ``air_shifts``, relative, None where not computed."""
+    """The air in the model, or its effect by ``air_shifts``, relative, None where not computed."""
     if specimen.air_density:
         return f"{specimen.air_density:.6g} kg/m3, in the model"
     stated = NO_AIR if specimen.air_density is None else "vacuum"
@@ -132,12 +132,12 @@ def air_text(specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> str:
 
 
 def thickness_class(plate: Plate) -> str:
-    """Thin or thick, by the shorter side over the thickness."""
+    """Either "thin" or "thick", by shorter side / thickness."""
     return "thin" if min(plate.length, plate.width) > THIN * plate.thickness else "thick"
 
 
 def layup_text(specimen: Specimen) -> str:
-    """The layup as written and its number of plies."""
+    """The layup as written, and its number of plies."""
     if specimen.material.isotropic:
         return "isotropic"
     layup = specimen.plate.layup
@@ -157,7 +157,7 @@ def edges_text(edges: str) -> str:
 
 
 def plate_sentence(specimen: Specimen) -> str:
-    """The plate as the model has it: what is not named here is not in the model."""
+    """The plate as modelled, in a sentence; what it does not name is not in the model."""
     plate = specimen.plate
     mass = plate.total_mass
     weight = f", {mass * 1e3:.4g} g" if plate.mesh is None or plate.mass is not None else ""
@@ -175,17 +175,17 @@ def plate_sentence(specimen: Specimen) -> str:
 
 
 def size_text(plate: Plate) -> str:
-    """Length, width and thickness, mm."""
+    """Length x width x thickness, mm."""
     return " x ".join(f"{v * 1e3:.10g}" for v in (plate.length, plate.width, plate.thickness))
 
 
 def thickness_ratio(plate: Plate) -> str:
-    """Thickness over the shorter side."""
+    """Thickness / shorter side, as 1/n."""
     return f"1/{min(plate.length, plate.width) / plate.thickness:.3g}"
 
 
 def _density(plate: Plate) -> str:
-    """Density and, unless only the mesh would tell it, mass."""
+    """Density, and mass unless it follows only from the mesh."""
     density = f"{plate.density:.6g} kg/m3"
     if plate.mass is not None:
         return f"{density} from the weighed mass, {plate.mass * 1e3:.5g} g"
@@ -195,9 +195,9 @@ def _density(plate: Plate) -> str:
 
 
 _INK, _SURFACE, _SENSOR = "#333333", "#eef2f6", "#b3261e"
-# Width of a held edge's band and room for its words, fractions of the longer side.
+# Width of the band of a held edge, and room for its label, in fractions of the longer side.
 _BAND, _ROOM = 0.045, 0.2
-# Plies whose angles are written on them; more are told by colour alone.
+# Most plies with written angles; beyond, colour alone shows them.
 _MOST_WRITTEN = 20
 _MOST_KEYS = 10
 
@@ -205,11 +205,11 @@ _MOST_KEYS = 10
 PLATE: Final = "plate"
 """Name of the drawing of the plate."""
 Overlay = Callable[["Axes", int], None]
-"""Draws something onto the plate of a number, millimetres."""
+"""Draws onto the plate with a given index, mm."""
 
 
 def plate_figure(specimens: Sequence[Specimen], overlay: Overlay | None = None) -> Figure:
-    """The plates, one below the other, each with its plies beside it; overlay : what else is on them."""
+    """The plates one below the other, each with its plies; overlay : drawn onto each plate."""
     figure = new_figure(6.0, 3.5 * len(specimens))
     panels = figure.subfigures(len(specimens), 1, squeeze=False).ravel()
     for i, (panel, specimen) in enumerate(zip(panels, specimens, strict=True)):
@@ -226,7 +226,6 @@ def plate_figure(specimens: Sequence[Specimen], overlay: Overlay | None = None) 
 
 
 def _draw_top(axes: Axes, specimen: Specimen) -> None:
-    """The plate from above, millimetres."""
     from matplotlib.patches import Rectangle
 
     plate = specimen.plate
@@ -340,14 +339,14 @@ def _draw_plies(axes: Axes, layup: Layup) -> None:
 
 
 def _colour(angle_deg: float) -> Any:
-    """The same colour for -90 and 90 degrees, as in the figures of `sequence`."""
+    """Colour of an angle, equal for -90 and 90 degrees, as in the figures of `sequence`."""
     from matplotlib import colormaps
 
     return colormaps["twilight_shifted"]((angle_deg + 90.0) / 180.0, alpha=0.55)
 
 
 def plate_caption(specimens: Sequence[Specimen]) -> Caption:
-    """Caption of the drawing of one plate, or of several."""
+    """Caption of the drawing of one or several plates."""
     stated = {letter for s in specimens for letter in s.plate.edges}
     sensors = any(s.sensors for s in specimens)
     parts = ["The plate as the model has it, seen from above"]
@@ -366,7 +365,7 @@ def plate_caption(specimens: Sequence[Specimen]) -> Caption:
 def plate_drawing(
     specimens: Sequence[Specimen], overlay: Overlay | None = None, caption: Caption | None = None
 ) -> Drawing:
-    """The plates that were asked about; overlay : what else is drawn on them, with its caption."""
+    """Drawing of the plates asked about; overlay : drawn onto them, described by caption."""
     return Drawing(PLATE, partial(plate_figure, specimens, overlay), caption or plate_caption(specimens))
 
 
@@ -376,7 +375,7 @@ def measured_modes(
     shapes: Sequence[NDArray[np.float64]],
     modes: Sequence[Mode],
 ) -> Drawing:
-    """The shapes, (3, n, n) each, of the modes that measured frequencies belong to, a row each."""
+    """Shapes (3, n, n) of the modes paired with measured frequencies; rows, shapes, modes : one each."""
     plate = specimen.plate
     figure = partial(
         shapes_figure,
@@ -395,7 +394,7 @@ FIGURE = "modal_assurance"
 
 
 def assurance_sections(pairing: ShapePairing | None, measurement: Measurement | None) -> tuple[Section, ...]:
-    """The mode of each measured shape, no section without shapes."""
+    """Section on the mode of each measured shape; empty without shapes."""
     if pairing is None or measurement is None:
         return ()
     return (Section("Measured shapes", (_table(pairing, measurement),), (FIGURE,)),)
@@ -434,7 +433,7 @@ _ROWS = (
 
 
 def shape_keys(pairing: ShapePairing | None, measurement: Measurement | None) -> dict[str, Any]:
-    """The pairing in a JSON document, nothing without shapes."""
+    """Keys of the pairing in a JSON document; empty without shapes."""
     if pairing is None or measurement is None:
         return {}
     rows = zip(measurement.frequencies, pairing.modes, pairing.probability, strict=True)
@@ -452,14 +451,14 @@ def shape_keys(pairing: ShapePairing | None, measurement: Measurement | None) ->
     }
 
 
-# Numbers are written in the squares of matrices up to this size; candidates are marked from this probability.
+# Largest matrix with numbers in its cells; probability from which a candidate is marked.
 _MOST_SQUARES, _MARKED = 20, 0.01
 
 
 def assurance_drawings(
     title: str, pairing: ShapePairing | None, measurement: Measurement | None
 ) -> tuple[Drawing, ...]:
-    """Measured shapes against modes, none without shapes."""
+    """Drawing of measured shapes against modes; empty without shapes."""
     if pairing is None or measurement is None:
         return ()
     n, k = pairing.assurance.shape

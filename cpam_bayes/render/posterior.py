@@ -1,4 +1,4 @@
-"""Figures of a sampled posterior: pairs of parameters, marginals beside profile likelihoods."""
+"""Figures of a sampled posterior: pairs of parameters, and marginals with profile likelihoods."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _BINS: Final = 40
-# Bins of a pair are wider, for its draws are spread over their square.
+# Coarser bins for pairs, whose draws spread over a square.
 _PAIR_BINS: Final = 26
-# Colour grows as this power of the count: tails and lesser optima are seen.
+# Colour is this power of the count, so that tails and minor modes are visible.
 _CONTRAST: Final = 0.6
-# Share of the draws beyond either end of the pairs.
+# Share of the draws cut off at either end of the axes.
 _TAIL: Final = 0.0005
 _BLUE, _GREY, _RED, _ORANGE = "#4878a8", "#808080", "#c0392b", "#c1440e"
 # Points of a drawn profile.
 _FINE: Final = 1000
-# Drops of log likelihood up to here are drawn.
+# Largest drawn drop of the log likelihood.
 _DEEPEST: Final = 6.0
 
 
 @dataclass(frozen=True, slots=True)
 class Draws:
-    """Draws of a posterior, SI.
+    """Posterior draws, SI.
 
     values : (n_draws, n)
     priors, references : of each parameter; a reference is nan where there is none
@@ -48,7 +48,7 @@ class Draws:
 
 
 def pairs_figure(title: str, sampled: Draws) -> Figure:
-    """Draws of every two parameters, the marginal posteriors on the diagonal."""
+    """Draws of every pair of parameters, with the marginal posteriors on the diagonal."""
     from matplotlib.colors import PowerNorm
 
     names, priors, references = sampled.names, sampled.priors, sampled.references
@@ -123,7 +123,7 @@ def _draw_marginal(
 
 
 def marginals_figure(title: str, sampled: Draws, profiles: Sequence[Profile]) -> Figure:
-    """One column a constant: its marginal posterior and prior, and below its profile likelihood."""
+    """One column per constant: marginal posterior and prior above, profile likelihood below."""
     from matplotlib.lines import Line2D
 
     names, priors, references = sampled.names, sampled.priors, sampled.references
@@ -160,7 +160,7 @@ def marginals_figure(title: str, sampled: Draws, profiles: Sequence[Profile]) ->
 
 
 def _span_of(draws: NDArray[Any], profile: Profile, factor: float, reference: float) -> tuple[float, float]:
-    """What an axis shows: the draws, the upper part of the profile and the reference, with room beside."""
+    """Limits of an axis: draws, upper part of the profile and reference, with a margin."""
     shown = [*np.quantile(draws, (_TAIL, 1.0 - _TAIL)), *(factor * profile.values[profile.drop < DROP_95])]
     if np.isfinite(reference):
         shown.append(reference)
@@ -171,7 +171,7 @@ def _span_of(draws: NDArray[Any], profile: Profile, factor: float, reference: fl
 
 
 def _draw_profile(axes: Axes, profile: Profile, factor: float) -> None:
-    """A profile through its points, its signed root being interpolated: a parabola where that is straight."""
+    """A profile through its points, interpolated in its signed root, which is straight for a parabola."""
     values, drop = profile.values, np.minimum(profile.drop, 1e3)
     at = np.searchsorted(values, profile.best)
     values, drop = np.insert(values, at, profile.best), np.insert(drop, at, 0.0)

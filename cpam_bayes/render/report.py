@@ -1,7 +1,7 @@
 """The report of an answer: one record, of which screen, page, document and tables are renderings.
 
-A question's `present(result)` makes the `Report`. Nothing here knows a screen or HTML; of a report come JSON
-documents, CSV files, workbooks and data frames.
+A question's `present(result)` makes the `Report`. This module knows neither screens nor HTML; it turns
+reports into JSON documents, CSV files, workbooks and data frames.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COMPUTATION: Final = "How this was computed"
-"""Title of the section that stands last on a page."""
+"""Title of the last section of a page."""
 
 
 @dataclass(frozen=True, slots=True)
 class Heading:
-    """A heading of a table of text, and whether the cells below it are numbers, which stand to the right."""
+    """A column heading, and whether the cells below are numbers, aligned to the right."""
 
     text: str = ""
     number: bool = False
@@ -36,9 +36,9 @@ class Heading:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A title and rows of text; columns without any heading make a plain list.
+    """A title and rows of text; columns without headings make a plain list.
 
-    flagged : rows that a reader must not overlook, coloured on a terminal; their words say so too.
+    flagged : rows that a reader must not overlook, coloured on a terminal and worded accordingly.
     """
 
     title: str
@@ -54,12 +54,12 @@ class Table:
 
 
 def facts(title: str, rows: Iterable[tuple[str, str]]) -> Table:
-    """Names and what is to be said of them."""
+    """A two-column table of labels and texts."""
     return Table(title, (Heading(), Heading()), tuple(rows))
 
 
 def remarks(title: str, sentences: Iterable[str], *, flagged: bool = False) -> Table:
-    """A list of sentences."""
+    """A one-column table of sentences."""
     rows = tuple((sentence,) for sentence in sentences)
     return Table(title, (Heading(),), rows, frozenset(range(len(rows))) if flagged else frozenset())
 
@@ -68,11 +68,11 @@ def remarks(title: str, sentences: Iterable[str], *, flagged: bool = False) -> T
 class Column:
     """One quantity of a row, declared once for screen, page, document, CSV and data frame.
 
-    heading : on a screen and a page, None where they do not show it
-    key : in JSON, CSV and data frames, None where they do not hold it
+    heading : on screen and page, None where it is not shown
+    key : in JSON, CSV and data frames, None where it is left out
     value : of a row; None leaves the cell empty
-    text : the value as it is read
-    number : stands to the right
+    text : formats the value for a reader
+    number : aligned to the right
     """
 
     heading: str | None
@@ -82,14 +82,14 @@ class Column:
     number: bool = False
 
     def cell(self, row: Any) -> str:
-        """The text of a row's cell; "" where there is nothing."""
+        """The text of a row's cell; "" for None."""
         value = self.value(row)
         return "" if value is None else self.text(value)
 
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """Rows of one kind with their columns.
+    """Rows of one kind and their columns.
 
     name : of the CSV file and the JSON key
     flagged : rows that a reader must not overlook
@@ -101,7 +101,7 @@ class Rows:
     flagged: Callable[[Any], bool] = lambda row: False
 
     def table(self, title: str) -> Table:
-        """The rows for a reader; a column without a cell disappears."""
+        """The rows as text; an empty column disappears."""
         shown = [c for c in self.columns if c.heading is not None]
         cells = {c: [c.cell(row) for row in self.rows] for c in shown}
         kept = [c for c in shown if any(cells[c])]
@@ -110,7 +110,7 @@ class Rows:
         return Table(title, headings, tuple(zip(*(cells[c] for c in kept), strict=True)), marked)
 
     def records(self) -> list[dict[str, Any]]:
-        """The rows for a document, a CSV file or a data frame."""
+        """The rows as records for a document, a CSV file or a data frame."""
         return [{c.key: c.value(row) for c in self.columns if c.key is not None} for row in self.rows]
 
 
@@ -118,7 +118,7 @@ class Rows:
 class Caption:
     """The words beside a figure.
 
-    text : what to see in the figure
+    text : what to look for in the figure
     alt : what the figure shows, for a reader who cannot see it
     """
 
@@ -128,7 +128,7 @@ class Caption:
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """A figure, drawn when it is asked for, with the words beside it."""
+    """A figure with its caption, drawn on request."""
 
     name: str
     draw: Callable[[], Figure]
@@ -137,11 +137,11 @@ class Drawing:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A part of what stands behind an answer.
+    """One section behind an answer.
 
     tables : those without rows are not shown
-    figures : names of drawings, which stand on a page before the tables
-    folded : on a page, whether a reader opens the section before its content is shown
+    figures : names of drawings, which precede the tables on a page
+    folded : whether a page shows the section closed
     """
 
     title: str
@@ -152,15 +152,15 @@ class Section:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """The first screen: at most 12 lines and 120 words besides rows that were asked for.
+    """The first screen: at most 12 lines and 120 words besides requested rows.
 
-    title : what was asked, "identify panel 12"
+    title : the request, "identify panel 12"
     headline : the answer, the number first
-    tables : the constants, or other rows that were asked for
-    lines : how well the model fits; what the intervals contain and the largest error that they do not
-    next_step : what to do now, one sentence; "" for nothing
-    slips : what most likely ruins the answer, with the cure; these stand above everything else
-    warnings : reasons not to trust a number; a screen has them on standard error, a page below the answer
+    tables : the constants, or other requested rows
+    lines : how well the model fits; what the intervals contain and the largest error that they do not contain
+    next_step : one sentence; "" for none
+    slips : likely slips that ruin the answer, with the cure; shown above everything else
+    warnings : reasons to distrust a number; on standard error, or on a page below the answer
     """
 
     title: str
@@ -174,11 +174,11 @@ class Summary:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """All that is shown of an answer.
+    """Everything shown of an answer.
 
-    sections : what stands behind it: after `--verbose`, folded on a page
+    sections : behind the answer: with `--verbose`, folded on a page
     document : the JSON document
-    drawings : by name, the one that answers first
+    drawings : the one that answers the question first
     rows : tables for CSV files and data frames, the main one first
     """
 
@@ -190,7 +190,7 @@ class Report:
 
     @property
     def written(self) -> tuple[Rows, ...]:
-        """The tables that are written; where there is none, the single values of the document in one row."""
+        """Tables for files; without any, the scalar values of the document as one row."""
         if self.rows:
             return self.rows
         single = {k: v for k, v in self.document.items() if not isinstance(v, list | tuple | Mapping)}
@@ -199,7 +199,7 @@ class Report:
 
 
 def modes_caption(modes: Sequence[tuple[float, str]]) -> Caption:
-    """The words beside mode shapes; modes : frequency, Hz, and label of each."""
+    """Caption of mode shapes; modes : frequency, Hz, and label of each."""
     listed = ", ".join(f"{label} at {frequency:.4g} Hz" for frequency, label in modes)
     return Caption(
         "Red moves up while blue moves down. On the black lines the plate stands still: a support there "
@@ -210,7 +210,7 @@ def modes_caption(modes: Sequence[tuple[float, str]]) -> Caption:
 
 
 def merged(sections: Sequence[Section]) -> tuple[Section, ...]:
-    """Sections of one title as one, where the last of them stands."""
+    """Sections with equal titles merged, at the place of the last one."""
     found: dict[str, Section] = {}
     for section in sections:
         before = found.pop(section.title, replace(section, tables=(), figures=()))
@@ -222,18 +222,18 @@ def merged(sections: Sequence[Section]) -> tuple[Section, ...]:
     return tuple(found.values())
 
 
-# Characters of the name of a sheet.
+# Largest number of characters in the name of a sheet.
 _LONGEST_TITLE = 31
 _ENGINEERING_GPA = ("Ex", "Ey", "Gxy")
 
 
 def json_text(document: Mapping[str, Any]) -> str:
-    """One JSON document; what is not a finite number becomes null."""
+    """The text of a JSON document; non-finite numbers become null."""
     return json.dumps(plain(document), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def plate_keys(command: str, seed: int, specimen: Specimen) -> dict[str, Any]:
-    """The keys that every document about one plate begins with."""
+    """The first keys of every document about one plate."""
     return {
         "command": command,
         "version": __version__,
@@ -261,18 +261,18 @@ def _damping_keys(specimen: Specimen) -> dict[str, Any]:
 
 
 def laminate_keys(laminate: Mapping[str, float]) -> dict[str, dict[str, float]]:
-    """D11 to D26 in N m, Ex, Ey, Gxy in GPa by name, nuxy."""
+    """Laminate constants by name: D11 to D26 in N m, Ex, Ey, Gxy in GPa, nuxy."""
     units = {name: laminate_unit(name) for name in laminate}
     return {key: {"value": laminate[name] * factor} for name, (key, factor) in units.items()}
 
 
 def laminate_unit(name: str) -> tuple[str, float]:
-    """Key of a laminate constant in documents, with its unit, and the factor from SI."""
+    """Key of a laminate constant in documents, unit included, and the factor from SI."""
     return (f"{name}_GPa", 1e-9) if name in _ENGINEERING_GPA else (name, 1.0)
 
 
 def plain(value: Any) -> Any:
-    """Plain containers, numbers and texts; what is not a finite number becomes None."""
+    """Plain containers, numbers and texts; non-finite numbers become None."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -285,7 +285,7 @@ def plain(value: Any) -> Any:
 
 
 def csv_text(rows: Rows) -> str:
-    """The rows as a CSV file: a head of keys, empty cells for what is not known."""
+    """The rows as CSV: a header of keys, empty cells for unknown values."""
     sheet, columns = io.StringIO(), [c.key for c in rows.columns if c.key is not None]
     writer = csv.DictWriter(sheet, columns, lineterminator="\n")
     writer.writeheader()
@@ -294,7 +294,7 @@ def csv_text(rows: Rows) -> str:
 
 
 def xlsx_bytes(tables: Sequence[Rows]) -> bytes:
-    """The tables as a workbook, a sheet each, with a head of keys; a text is never a formula."""
+    """The tables as a workbook, one sheet each, with a header of keys; a text is never a formula."""
     import openpyxl  # for workbooks alone
 
     book = openpyxl.Workbook()
@@ -315,7 +315,7 @@ def xlsx_bytes(tables: Sequence[Rows]) -> bytes:
 
 
 def data_frame(tables: Sequence[Rows], name: str | None) -> Any:
-    """One of the tables of an answer as a pandas data frame, the first unless named.
+    """One table of an answer as a pandas data frame, the first unless named.
 
     raises ValueError if there is no table of that name
     """

@@ -1,4 +1,4 @@
-"""Sentences and tables of several first screens: constants, fit, intervals, the next step."""
+"""Sentences and tables shared by first screens: constants, fit, intervals, next step."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ _TITLES_OF: Final[Mapping[MaterialSymmetry, Mapping[str, str]]] = {
     "orthotropic": _ORTHOTROPIC,
 }
 
-# Relative noise that is low for a tap test.
+# Relative noise up to which a tap test is good.
 _GOOD = 0.003
-# Misfit over the stated repeatability that is as good as it.
+# Ratio of misfit to stated repeatability up to which the fit is as good as the repeatability.
 _AS_GOOD = 1.1
-# Standard deviations of a reference from which on it does not decide a value.
+# Standard deviations off the reference from which it does not decide a value.
 _OFF_REFERENCE_SD: Final = 2.0
-# Least visible fraction of an error of size that the frequencies are said to show.
+# Visible fraction of a size error above which the fit shows it.
 _VISIBLE = 0.3
-# Least relative error of a constant, for 1 % of a size, that is worth a word, %.
+# Smallest shift of a constant, %, for 1 % of a size, that is reported.
 _WORTH_TELLING = 0.3
 _SCALE_WORDS: Final = {
     "thickness": "thickness",
@@ -62,17 +62,17 @@ _SCALE_WORDS: Final = {
 
 
 def value_text(c: Constant) -> str:
-    """The value with its unit, to as many digits as its standard deviation is worth."""
+    """The value with its unit, to the digits of its standard deviation."""
     return _with_unit(c.name, _digits(c, c.value))
 
 
 def interval_text(c: Constant) -> str:
-    """The 95 % interval without its unit, "" where none can be given."""
+    """The 95 % interval without its unit, "" where there is none."""
     return "" if c.interval is None else " to ".join(_digits(c, end) for end in c.interval)
 
 
 def determined_text(c: Constant) -> str:
-    """The verdict on a constant in words: determined or not, and what else counts."""
+    """The verdict on a constant in words: determined or not, and why."""
     if c.bound is not None:
         return f"not determined: at its {c.bound} bound"
     if not math.isfinite(c.sd):
@@ -97,7 +97,7 @@ def determined_text(c: Constant) -> str:
 
 
 def constant_rows(constants: Sequence[Constant], name: str = "constants") -> Rows:
-    """The constants of an answer as rows, in units of the plate file.
+    """Constants of an answer as rows, in plate-file units.
 
     name : of the CSV file and the data frame
     """
@@ -105,16 +105,16 @@ def constant_rows(constants: Sequence[Constant], name: str = "constants") -> Row
 
 
 def constants_table(constants: Sequence[Constant]) -> Table:
-    """Name, value with unit, 95 % interval, determined or not."""
+    """Table of name, value with unit, 95 % interval, and whether determined."""
     return constant_rows(constants).table("")
 
 
 def constant_details(
     constants: Sequence[Constant], material: Material | Hybrid, alone: Sequence[Constant] = ()
 ) -> Table:
-    """Each constant in words, its standard deviation, reference and prior, and what decides its value.
+    """Table of each constant in words, its standard deviation, reference, prior, and what decides its value.
 
-    alone : the constants from the frequencies and bounds alone, where they have another prior
+    alone : constants from frequencies and bounds alone, where they have another prior
     """
     without = {c.name: f"{value_text(c)}, {interval_text(c)}" for c in alone}
 
@@ -140,7 +140,7 @@ def constant_details(
 
 
 def frequency_columns(rows: Sequence[FrequencyRow]) -> tuple[Column, ...]:
-    """Mode, label, kind, measured and predicted frequency, residual."""
+    """Columns of mode, label, kind, measured and predicted frequency, residual."""
     return (
         Column("mode", None, lambda row: row.number or None, number=True),
         Column("label", "label", lambda row: row.label),
@@ -150,7 +150,7 @@ def frequency_columns(rows: Sequence[FrequencyRow]) -> tuple[Column, ...]:
 
 
 def residual_columns(rows: Sequence[FrequencyRow]) -> tuple[Column, ...]:
-    """Measured and predicted frequency, residual; as many decimals as were measured."""
+    """Columns of measured and predicted frequency and residual, with the decimals of the measurement."""
     decimals = decimals_of(row.measured for row in rows if row.measured is not None)
 
     def finer(f: float) -> str:
@@ -167,7 +167,7 @@ def residual_columns(rows: Sequence[FrequencyRow]) -> tuple[Column, ...]:
 
 
 def constants_headline(constants: Sequence[Constant], n_frequencies: int) -> str:
-    """Headline of the constants that the frequencies determine, and of those that they leave open."""
+    """Headline: the constants that the frequencies determine, and those they leave open."""
     determined = listed([c.name for c in constants if c.is_determined], "and")
     left = listed([c.name for c in constants if c.is_open], "or")
     subject = (
@@ -179,7 +179,7 @@ def constants_headline(constants: Sequence[Constant], n_frequencies: int) -> str
 
 
 def basis_error_text(error: float) -> str:
-    """The largest relative error of a frequency by reduced bases, at draws of the answer."""
+    """Sentence on the largest relative error of a frequency by reduced bases, at draws of the answer."""
     return f"off by {significant(100 * error, 2)} % of a frequency at most, by full solves at draws"
 
 
@@ -192,11 +192,11 @@ def fit_sentence(
     explained: bool = True,
     freedom: int | None = None,
 ) -> str:
-    """How well the model fits, against the noise.
+    """How well the model fits, compared with the noise.
 
-    rms : of the relative residuals. stated : relative noise of the measurement, which says what is in it.
-    inferred : relative noise from the misfit, where none is stated. explained : whether the noise as stated
-    explains the misfit. freedom : frequencies less constants.
+    rms : of the relative residuals. stated : relative noise of the measurement, which names its source.
+    inferred : relative noise from the misfit, where none is stated. explained : whether the stated noise
+    explains the misfit. freedom : frequencies minus constants.
     """
     fit = f"Fit {_percent(rms)} %"
     if stated is not None:
@@ -222,10 +222,10 @@ def intervals_sentence(
     found: Collection[str] = (),
     also: Sequence[str] = (),
 ) -> str:
-    """The contents of the intervals, and the largest error that they do not contain.
+    """Content of the intervals, and the largest error that they do not contain.
 
-    constants : those worth a word. found : sizes whose error the model of the answer contains, beside those
-    of [plate.sd]. also : what else the intervals contain, in words.
+    constants : those to report. found : sizes whose error the model of the answer contains, beside those
+    of [plate.sd]. also : further content of the intervals, in words.
     """
     within = {*(n for n, sd in plate.sd.items() if sd > 0.0), *found, *(e.name for e in errors if e.sd)}
     sizes = [words for name, words in _SCALE_WORDS.items() if name in within]
@@ -237,7 +237,7 @@ def intervals_sentence(
         for name in constants
         if name in e.shift
     ]
-    # of equal ones the first, a size before the frequency scale
+    # of equal shifts the first, a size before the frequency scale
     most, number, constant = max(moved, key=lambda m: round(abs(m[0]), 1), default=(0.0, "", ""))
     if abs(most) < _WORTH_TELLING:
         return said
@@ -245,10 +245,10 @@ def intervals_sentence(
 
 
 def references_said(specimen: Specimen) -> tuple[str, ...]:
-    """What is known before, as a part of what intervals contain; none where bounds alone count.
+    """Prior knowledge in the intervals, in words; empty where bounds alone count.
 
-    A former plate's posterior, and the references in the prior: spreads that are assumed, and of which
-    constants where [material.sd] gives those of others.
+    A former plate's posterior, and the references in the prior with their assumed spreads, by constant where
+    [material.sd] gives those of others.
     """
     assumed = assumed_spreads(specimen)
     unknowns = specimen.unknowns.parameters
@@ -266,9 +266,9 @@ def references_said(specimen: Specimen) -> tuple[str, ...]:
 
 
 def errors_table(errors: Sequence[ScaleError], constants: Sequence[str]) -> Table:
-    """How far 1 % of each size, the mass and the frequency scale moves the constants.
+    """Table of the shift of each constant by 1 % of each size, the mass and the frequency scale.
 
-    Their errors hardly show in the frequencies: the constants take them up.
+    Such errors hardly show in the frequencies: the constants absorb them.
     """
     columns = (
         Heading("if really 1 % more than stated"),
@@ -292,17 +292,17 @@ def errors_table(errors: Sequence[ScaleError], constants: Sequence[str]) -> Tabl
     return Table("What an error of a size does to the constants", columns, rows)
 
 
-# What a balance tells.
+# Numbers found by weighing.
 _WEIGHED: Final = frozenset({"mass", "density"})
 
 
 def gauge_step(specimen: Specimen, errors: Sequence[ScaleError], constants: Sequence[str]) -> tuple[str, ...]:
-    """The numbers of the plate whose tolerances the plate file should state; none where they do no harm."""
+    """Next step: sizes whose tolerances the plate file should state; empty where they do no harm."""
     names = [
         "mass" if e.name == "density" and _densities_of_plies(specimen) else e.name
         for e in errors
         if e.name not in specimen.plate.sd and e.visible <= _VISIBLE and e.name != FREQUENCY_SCALE
-        # per cent of a constant: by 1 % of the number, or by what is assumed of it
+        # shift of a constant, %: by 1 % of the size, or by its assumed sd
         if any(
             abs(e.shift.get(name, 0.0)) * (1.0 if e.sd is None else 100.0 * e.sd) >= _WORTH_TELLING
             for name in constants
@@ -318,7 +318,7 @@ def gauge_step(specimen: Specimen, errors: Sequence[ScaleError], constants: Sequ
 
 
 def _digits(c: Constant, value: float) -> str:
-    """A value of a constant in the unit of the plate file, to the digits of its standard deviation."""
+    """A value of a constant in plate-file units, to the digits of its standard deviation."""
     return with_spread(to_user(c.name, value), to_user(c.name, c.sd))[0]
 
 
@@ -344,7 +344,7 @@ def _end(c: Constant, i: int) -> float | None:
 
 
 def constant_keys(c: Constant) -> dict[str, Any]:
-    """A point estimate of a constant in a document, in units of the plate file."""
+    """A point estimate of a constant in a document, in plate-file units."""
     return {
         "value": to_user(c.name, c.value),
         "sd": to_user(c.name, c.sd),
@@ -374,7 +374,7 @@ _CONSTANT: Final = (
 
 
 def constant_title(name: str, material: Material | Hybrid) -> str:
-    """A constant in words, of a hybrid with its material; a name that has none stands for itself."""
+    """Title of a constant, for a hybrid with its material; a name without a title stays."""
     of, plain = split_name(name)
     part = material.parts.get(of)
     title = "" if part is None else _TITLES_OF[part.symmetry].get(plain, "")
@@ -390,7 +390,7 @@ def reliance_sentences(
 ) -> tuple[str, ...]:
     """Sentences on how the prior of one constant widens the interval of another.
 
-    prior_of : a constant. shown : constants that are worth a word.
+    prior_of : prior of a constant by name. shown : constants to report.
     """
     said = []
     for r in reliances:
@@ -407,20 +407,20 @@ def reliance_sentences(
 def reliance_table(
     reliances: Sequence[Reliance], prior_of: Callable[[str], Prior], shown: Sequence[str]
 ) -> Table:
-    """The same as a list of remarks."""
+    """Table of `reliance_sentences`."""
     said = reliance_sentences(reliances, prior_of, shown)
     return remarks("Intervals that depend on the range of another constant", said)
 
 
 def prior_text(name: str, prior: Prior) -> str:
-    """The range of a prior, and centre and standard deviation where it has them, in the plate file's unit."""
+    """Range of a prior, with centre and standard deviation if any, in plate-file units."""
     numbers = prior.describe(partial(to_user, name))
     span = f"{numbers.lower:.6g} to {numbers.upper:.6g}"
     return span if numbers.centre is None else f"{numbers.centre:.6g} +- {numbers.scale:.4g} in {span}"
 
 
 def _prior_text(name: str, prior: Prior) -> tuple[str, str]:
-    """The name of a prior, and its numbers in the unit of the plate file."""
+    """The kind of a prior, "bounds" or "prior", and its numbers in plate-file units."""
     unit = f" {unit_of(name)}".rstrip()
     numbers = prior.describe(partial(to_user, name))
     if numbers.centre is None:
@@ -429,17 +429,17 @@ def _prior_text(name: str, prior: Prior) -> tuple[str, str]:
 
 
 def further_steps(steps: Sequence[str]) -> Section:
-    """The steps after the first one, which stands on the first screen."""
+    """Section of the steps after the first, which is on the first screen."""
     return Section("Further steps", (remarks("Further steps", [f"{s[0].upper()}{s[1:]}" for s in steps]),))
 
 
 def plate_argument(specimen: Specimen) -> str:
-    """The plate as an argument of a command, quoted for a shell."""
+    """The plate as a command-line argument, quoted for a shell."""
     return shlex.quote(specimen.source.removeprefix("built-in "))
 
 
 def attached_step(specimen: Specimen) -> tuple[str, ...]:
-    """A question about masses on the plate, where the file gives none."""
+    """Question about attached masses, where the file has none."""
     if specimen.sensors:
         return ()
     plate = specimen.plate
@@ -451,20 +451,20 @@ def attached_step(specimen: Specimen) -> tuple[str, ...]:
 
 
 def diagnose_step(specimen: Specimen) -> str:
-    """To ask what the model gets wrong."""
+    """Next step: diagnose the plate."""
     return f"is anything wrong with the plate or the list?  cpam-bayes diagnose {plate_argument(specimen)}"
 
 
 def more_modes_step(constants: Sequence[Constant]) -> tuple[str, ...]:
-    """Further modes, which may determine the constants that the frequencies leave open."""
+    """Next step: measure further modes, which may determine open constants."""
     left = listed([c.name for c in constants if not c.is_determined], "and")
     return (f"measure more modes: they may determine {left}.",) if left else ()
 
 
 def correction_step(written: Iterable[str], of: Sequence[str] = ()) -> str:
-    """To correct plate files without whose slips the lists fit.
+    """Next step: correct plate files whose slips explain the misfit.
 
-    written : the files of `--out` that are corrected. of : names of the plates, where there are several
+    written : corrected files in `--out`. of : names of the plates, where there are several
     """
     whose = f" of {listed(of, 'and')}" if of else ""
     files = listed([*written], "and")
@@ -472,16 +472,16 @@ def correction_step(written: Iterable[str], of: Sequence[str] = ()) -> str:
 
 
 def contradicts_itself(notices: Sequence[Notice]) -> bool:
-    """Whether one of the notices says that what the file states of the plate cannot be."""
+    """Whether a notice says that stated thickness, mass and density contradict each other."""
     return any(notice.code == "thicknesses_apart" for notice in notices)
 
 
 def mismatch_step(
     specimen: Specimen, notices: Sequence[Notice], found: Sequence[str | None] = ()
 ) -> tuple[str, ...]:
-    """The first check where the plate file contradicts itself, or the frequency list the plate.
+    """Next step where the plate file contradicts itself, or the frequency list the plate.
 
-    notices : of the answer. found : label of the mode that each frequency was paired with, None for no mode.
+    notices : of the answer. found : label of the mode paired with each frequency, None for no mode.
     """
     labels = () if specimen.measurement is None else specimen.measurement.labels
     other = [
@@ -501,21 +501,21 @@ def mismatch_step(
 
 
 def noise_word(level: float) -> str:
-    """How a relative noise compares with that of a tap test."""
+    """A relative noise compared with that of a tap test, in words."""
     if level <= _GOOD:
         return "which is low for a tap test"
     return "which is usual for a tap test" if level <= USUAL_NOISE else "which is high for a tap test"
 
 
 def stated_noise(measurement: Measurement) -> str:
-    """What the noise of a measurement is made of."""
+    """Source of the noise of a measurement, in words."""
     if measurement.frequency_sd is None or not measurement.origin:
         return "as stated in the plate file"
     return measurement.sd_source
 
 
 def _level(noise: float, measurement: Measurement | None) -> str:
-    """The noise that a misfit is compared with: stated in the plate file, of the hits, or both."""
+    """The noise that a misfit is compared with: stated in the plate file, from the hits, or both."""
     level = f"{100.0 * noise:.2g} %"
     stated = None if measurement is None else measurement.relative_std
     is_stated = measurement is None or measurement.frequency_sd is None or not measurement.origin

@@ -1,4 +1,4 @@
-"""Pictures of a modal test: its spectrum with what each peak was taken for, and its stability diagram."""
+"""Drawings of a modal test: its spectrum with each peak labelled, and its stability diagram."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MOST_DRAWN: Final = 12
-# The lowest value that is drawn, as a part of the largest one.
+# Smallest drawn value, as a fraction of the largest.
 _FLOOR: Final = 1e-12
 
 
 class Mark(NamedTuple):
-    """A line of a spectrum: where, in Hz, what is written beside it, whether it is a mode."""
+    """A marked frequency of a spectrum, Hz, its label, and whether it is a mode."""
 
     frequency: float
     said: str
@@ -63,12 +63,12 @@ def test_drawings(test: ModalTest, title: str, marks: Sequence[Mark]) -> tuple[D
 
 
 class _Peak(NamedTuple):
-    """A candidate, or hum.
+    """A candidate peak, or hum.
 
-    probability : of being a mode before the model is asked, None for what is no candidate
+    probability : of being a mode, before the model is consulted; None for a non-candidate
     damping : ratio
-    predicted : Hz, of the mode of the model that it was paired with, None for none
-    certainty : probability of what it was taken for, None where it is not known
+    predicted : Hz, of the mode it is paired with; None for none
+    certainty : probability of the label, None where unknown
     """
 
     frequency: float
@@ -98,9 +98,9 @@ _COLUMNS: Final = (
 
 
 def peak_rows(measurement: Measurement | None, rows: Iterable[FrequencyRow]) -> Rows:
-    """The candidate peaks of a measurement, empty for a list, with what each was taken for.
+    """The candidate peaks of a measurement with their labels; empty for a list.
 
-    rows : of the answer, one for each measured frequency in order; others are passed over
+    rows : of the answer, one for each measured frequency; others are ignored
     """
     if measurement is None or measurement.mode_probability is None:
         return Rows("peaks", _COLUMNS, ())
@@ -127,7 +127,7 @@ def peak_rows(measurement: Measurement | None, rows: Iterable[FrequencyRow]) -> 
 
 
 def peak_sections(specimen: Specimen, peaks: Rows) -> tuple[Section, ...]:
-    """The candidates with the spectrum, and the stability diagram folded; nothing for a list."""
+    """Section of the candidates with the spectrum, and the stability diagram folded; empty for a list."""
     if not peaks.rows:
         return ()
     drawn = specimen.measurement is not None and specimen.measurement.test is not None
@@ -138,12 +138,12 @@ def peak_sections(specimen: Specimen, peaks: Rows) -> tuple[Section, ...]:
 
 
 def peak_keys(peaks: Rows) -> dict[str, Any]:
-    """The key `peaks` of a document, none for a list."""
+    """The key `peaks` of a document, missing for a list."""
     return {"peaks": peaks.records()} if peaks.rows else {}
 
 
 def peak_drawings(specimen: Specimen, peaks: Rows) -> tuple[Drawing, ...]:
-    """The pictures of `peak_sections`."""
+    """The drawings of `peak_sections`."""
     test = None if specimen.measurement is None else specimen.measurement.test
     if test is None or not peaks.rows:
         return ()
@@ -154,7 +154,7 @@ def peak_drawings(specimen: Specimen, peaks: Rows) -> tuple[Drawing, ...]:
 def line_sizes(
     test: ModalTest, frf: NDArray[np.complex128]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lines of the range and the root mean square of responses (m, n) there."""
+    """Frequencies in the range, and the root mean square of responses (m, n) there."""
     f = test.responses.frequencies
     shown = (f >= test.low) & (f <= test.high)
     size = np.sqrt(np.mean(np.abs(frf[:, shown]) ** 2, axis=0))
@@ -162,7 +162,6 @@ def line_sizes(
 
 
 def _spectrum(test: ModalTest, title: str, marks: Sequence[Mark]) -> Figure:
-    """Every hit's spectrum with what each peak was taken for."""
     figure = new_figure(9.0, 4.8)
     axes = figure.add_subplot()
     for hit in test.responses.each_hit[:_MOST_DRAWN]:
@@ -187,7 +186,7 @@ def _spectrum(test: ModalTest, title: str, marks: Sequence[Mark]) -> Figure:
 
 
 def _stability(test: ModalTest, title: str, modes: Sequence[float]) -> Figure:
-    """Poles by order over the responses."""
+    """Poles by model order over the responses."""
     found, figure = test.stabilisation, new_figure(9.0, 4.8)
     axes = figure.add_subplot()
     behind = axes.twinx()

@@ -1,4 +1,4 @@
-"""A posterior over stacking sequences for a reader: its rows, tables and pictures."""
+"""A posterior over stacking sequences: rows, tables and figures."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Probability from which on an angle is worth a place.
+# Probability from which an angle is listed.
 _LEAST_ANGLE: Final = 0.005
 
 
 class ListedSequence(NamedTuple):
-    """A listed class of stacking sequences, known by its first member."""
+    """One listed class of equivalent stacking sequences, represented by its first member."""
 
     answer: StackingPosterior
     mixture: StackingMixture
@@ -35,21 +35,21 @@ class ListedSequence(NamedTuple):
 
     @property
     def angles(self) -> str:
-        """Angles of its first member, from the bottom."""
+        """Angles of the first member, from the bottom."""
         return angles_text(self.answer.top[self.i])
 
     @property
     def together(self) -> float:
-        """Probability of all sequences of the class."""
+        """Probability of all sequences in the class."""
         return float(self.answer.probability[self.i] * self.answer.multiplicity[self.i])
 
     @property
     def is_sampled(self) -> bool:
-        """By emcee; the others by importance sampling."""
+        """True if sampled by emcee, False if by importance sampling."""
         return self.i < len(self.mixture.components)
 
     def moment(self, of: str) -> dict[str, float]:
-        """The "mean" or "sd" of the constants by name, in the units of the plate file."""
+        """The "mean" or "sd" of the constants by name, in plate-file units."""
         if self.is_sampled:
             return constants_by_name(self.answer, getattr(self.mixture.components[self.i].chains, of))
         return constants_by_name(self.answer, getattr(self.answer.components.conditionals, of)[self.i])
@@ -61,7 +61,7 @@ def angles_text(angles_deg: Iterable[float]) -> str:
 
 
 def constants_by_name(answer: StackingPosterior, values: NDArray[Any]) -> dict[str, float]:
-    """The constants by name, in the units of the plate file; values : of all parameters, constants first."""
+    """Constants by name, in plate-file units; values : of all parameters, constants first."""
     n = answer.conditional.n_constants
     named = zip(answer.conditional.parameters.names[:n], values[:n], strict=True)
     return {user_name(name): to_user(name, float(v)) for name, v in named}
@@ -106,7 +106,7 @@ SEQUENCES: Final = (
 
 
 def angle_table(answer: StackingPosterior, information: AngleInformation) -> Table:
-    """The posterior of each unknown angle."""
+    """Table of the marginal posterior of each unknown angle."""
 
     def best(j: int) -> str:
         p = answer.marginals[j]
@@ -132,7 +132,7 @@ def angle_table(answer: StackingPosterior, information: AngleInformation) -> Tab
 
 
 def outer_and_inner(information: AngleInformation) -> str:
-    """A comparison of the information about outer and inner plies."""
+    """Sentence that compares the information about outer and inner plies."""
     bits = information.entropy_bits[information.outer_first]
     each = ", ".join(f"{abs(b):.2f}" for b in bits)
     if len(bits) < 2:
@@ -145,9 +145,9 @@ def outer_and_inner(information: AngleInformation) -> str:
 
 
 class _Moments(NamedTuple):
-    """A constant over all sequences, given the first and given the printed one: mean and sd as written.
+    """Mean and sd of a constant as text: over all sequences, given the first, and given the printed one.
 
-    off : what emcee and importance sampling differ by at most.
+    off : largest difference between emcee and importance sampling, in standard errors.
     """
 
     name: str
@@ -159,7 +159,7 @@ class _Moments(NamedTuple):
 
 
 def mixture_table(answer: StackingPosterior, mixture: StackingMixture, given: GivenLayup | None) -> Table:
-    """The constants over all sequences beside those given single ones."""
+    """Table of the constants over all sequences and given single ones."""
     first = mixture.components[0].chains if mixture.components else None
     printed = None if mixture.given is None or given is None else mixture.given.chains
     reference = answer.specimen.material.constants
@@ -198,7 +198,7 @@ def mixture_table(answer: StackingPosterior, mixture: StackingMixture, given: Gi
 
 
 def _off_importance(mixture: StackingMixture, i: int) -> str:
-    """The largest difference of a parameter's mean or sd between emcee and importance sampling."""
+    """Largest difference between emcee and importance sampling in a parameter's mean or sd, in its error."""
     off = (
         abs(a - b) / math.hypot(a_error, b_error)
         for c in mixture.sampled
@@ -212,7 +212,7 @@ def _off_importance(mixture: StackingMixture, i: int) -> str:
 
 
 def same_bending(answer: StackingPosterior) -> tuple[tuple[str, str], ...]:
-    """Listed sequences that share their bending stiffness with others that are no images of them."""
+    """Row on listed sequences that share their bending stiffness with sequences that are not their images."""
     several = [i for i, others in enumerate(answer.same_bending) if len(others)]
     if not several:
         return ()
@@ -227,7 +227,7 @@ def same_bending(answer: StackingPosterior) -> tuple[tuple[str, str], ...]:
 def drawings(
     answer: StackingPosterior, mixture: StackingMixture, given: GivenLayup | None
 ) -> tuple[Drawing, ...]:
-    """Every angle ply by ply, the credible set, and the constants."""
+    """Drawings: probability of each angle, the credible set, the constants."""
     many = f"{answer.credible_count} of {answer.enumerated}"
     return (
         Drawing(
@@ -264,14 +264,14 @@ def drawings(
 
 
 _RED, _BLUE = "#c0392b", "#4878a8"
-# Classes whose angles are shown: so many, and those that matter.
+# Most and fewest classes shown, and the total probability up to which they are.
 _SHOWN, _FEWEST, _MATTERS = 24, 4, 0.999
-# Points of a density, and the share of the draws beyond either end of it.
+# Points of a density, and the share of the draws cut off at either end.
 _POINTS, _TAIL = 300, 0.001
 
 
 def angle_map(answer: StackingPosterior, given: GivenLayup | None = None) -> Figure:
-    """Probability of each angle for each unknown, from the bottom; entropies at the right."""
+    """Probability of each angle for each unknown ply, from the bottom; entropies on the right."""
     k = len(answer.marginals)
     information = angle_information(answer.specimen.plate.layup, answer.marginals)
     figure = new_figure(6.4, 1.9 + 0.45 * k)
@@ -303,7 +303,7 @@ def _counted(n: int) -> str:
 
 
 def credible_set(answer: StackingPosterior, given: GivenLayup | None = None) -> Figure:
-    """Angles and probabilities of the most probable sequences, and what sets of them hold."""
+    """Angles and probabilities of the most probable sequences, and their cumulative probability."""
     mass, k = answer.probability * answer.multiplicity, answer.top.shape[1]
     n = int(np.clip(np.searchsorted(np.cumsum(mass), _MATTERS) + 1, _FEWEST, _SHOWN))
     n = min(n, len(mass))
@@ -345,7 +345,7 @@ def credible_set(answer: StackingPosterior, given: GivenLayup | None = None) -> 
 
 
 def _draw_angles(axes: Axes, angles: NDArray[Any]) -> None:
-    """Angles (n, k) as numbers on a colour that is the same for -90 and 90 degrees."""
+    """Angles (n, k) as numbers on a cyclic colour scale, equal for -90 and 90 degrees."""
     n, k = angles.shape
     edges = np.arange(k + 1) + 0.5, np.arange(n + 1) + 0.5
     axes.pcolormesh(*edges, angles, cmap="twilight_shifted", vmin=-90, vmax=90, alpha=0.55)
@@ -362,7 +362,7 @@ def _draw_angles(axes: Axes, angles: NDArray[Any]) -> None:
 def constants_over_sequences(
     answer: StackingPosterior, mixture: StackingMixture, given: GivenLayup | None = None
 ) -> Figure:
-    """Each constant's density over all sequences beside those given single sequences."""
+    """Density of each constant over all sequences and given single ones."""
     parameters = answer.conditional.parameters
     chosen = range(answer.conditional.n_constants)
     columns = min(len(chosen), 4)
@@ -399,11 +399,11 @@ def constants_over_sequences(
 
 
 def _density(draws: NDArray[Any], lower: float, upper: float) -> tuple[NDArray[Any], NDArray[Any]]:
-    """A Gaussian kernel estimate over draws, mirrored at the bounds so that nothing leaks out of them."""
+    """Gaussian kernel density estimate of draws, mirrored at the bounds so that no mass leaks out."""
     low, high = np.quantile(draws, (_TAIL, 1.0 - _TAIL))
-    # Silverman's rule, by the narrower of two measures of width
+    # Silverman's rule, with the smaller of two measures of width
     width = min(draws.std(), (np.quantile(draws, 0.75) - np.quantile(draws, 0.25)) / 1.34)
-    # draws that repeat others make it no finer
+    # repeated draws do not narrow the kernel
     width = max(0.9 * width * len(np.unique(draws)) ** -0.2, 2e-3 * (high - low), 1e-12 * abs(high))
     x = np.linspace(max(low - 3 * width, lower), min(high + 3 * width, upper), _POINTS)
     edges = np.linspace(min(low, draws.min()), max(high, draws.max()), 2001)

@@ -1,6 +1,6 @@
-"""A terminal: tables of text, for a file or a pipe too, and progress on standard error.
+"""Terminal output: tables as text, also for a file or a pipe, and progress on standard error.
 
-Progress is a bar on a terminal, a line now and then elsewhere.
+Progress is a bar on a terminal, elsewhere an occasional line.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from cpam_bayes.render.report import Heading, Report, Summary, Table
 from cpam_bayes.running import Described, Progress
 
 _JOINED: Final = re.compile(r"(?<=\d) (?=%|[A-Za-z]{1,3}\b)|(?<=cpam-bayes) | (?=\+- )|(?<=\+-) ")
-"""Spaces at which no line is broken: before units, within a tolerance, after the name of the command."""
+"""Spaces at which lines are not broken: before units, within a tolerance, after the command name."""
 _WIDTH: Final = 100
-"""Characters of a line of a pipe or a file at which sentences are broken."""
+"""Line width at which sentences are broken in a pipe or a file."""
 
 
 def screen_tables(report: Report, *, verbose: bool = False) -> tuple[Table, ...]:
-    """The tables of a screen; verbose : with all that stands behind the answer."""
+    """The tables of a screen; verbose : with all the sections behind the answer."""
     behind = tuple(table for section in report.sections for table in section.tables if table.rows)
     return (*_first_screen(report.summary), *(behind if verbose else ()))
 
 
 def _first_screen(summary: Summary) -> tuple[Table, ...]:
-    """Headline, table, fit and contents of the intervals, next step."""
+    """Slips and headline, tables, then fit, intervals and next step."""
     head = (*summary.slips, *summary.headline.splitlines())
     said = (*summary.lines, *((f"Next: {summary.next_step}",) if summary.next_step else ()))
     return (
@@ -47,7 +47,7 @@ def _first_screen(summary: Summary) -> tuple[Table, ...]:
 
 
 def screen_text(tables: Sequence[Table], stream: TextIO) -> str:
-    """The tables as a stream shows them best: with rich on a terminal, in plain lines elsewhere."""
+    """The tables as text: by rich on a terminal, as plain lines elsewhere."""
     shown = tuple(table for table in tables if table.rows)
     if stream.isatty() and os.environ.get("TERM") not in {None, "dumb", "unknown"}:
         return _terminal_text(shown)
@@ -55,7 +55,7 @@ def screen_text(tables: Sequence[Table], stream: TextIO) -> str:
 
 
 def plain_text(table: Table) -> str:
-    """Aligned columns, two spaces apart, below the title; sentences in lines of 100 characters."""
+    """Aligned columns, two spaces apart, below the title; sentences wrapped at 100 characters."""
     text = [table.title] if table.title else []
     if len(table.columns) == 1 and table.headings is None:
         for (sentence,) in table.rows:
@@ -73,7 +73,7 @@ def plain_text(table: Table) -> str:
 
 
 def _lines(sentence: str) -> list[str]:
-    """A sentence in lines; a number stays with its unit, and a command with its arguments."""
+    """A wrapped sentence; a number stays with its unit, and a command with its arguments."""
     kept = _JOINED.sub("\N{NO-BREAK SPACE}", sentence)
     lines = textwrap.wrap(kept, _WIDTH, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False)
     return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
@@ -83,7 +83,7 @@ def _terminal_text(tables: tuple[Table, ...]) -> str:
     from rich.console import Console
 
     sheet = io.StringIO()
-    # Layups are written with brackets, which rich would take for its own markup.
+    # Layups have brackets, which rich would take for its markup.
     console = Console(
         file=sheet,
         force_terminal=True,
@@ -119,43 +119,43 @@ def _rich_table(table: Table) -> object:
 
 
 _LINES = 10
-# What takes longer is said as soon as it is known, seconds: from so many iterations and seconds on.
+# Seconds from which a duration is announced, and iterations and seconds after which it is estimated.
 _LONG, _ENOUGH_DONE, _ENOUGH_SECONDS = 60.0, 4, 3.0
-# It is said again where the end is expected later than was said by this fraction of the time.
+# It is announced again where the end is delayed by more than this fraction of the duration.
 _LATER = 0.5
-# Less than this is not worth an estimate, seconds.
+# Shorter times, in seconds, are not shown.
 _WORTH_SAYING = 10.0
 
 
 @dataclass(frozen=True, slots=True)
 class Terminal:
-    """Shows progress on standard error unless told to be quiet; a `cpam_bayes.running.Watch`."""
+    """Progress on standard error unless quiet; a `cpam_bayes.running.Watch`."""
 
     quiet: bool = False
 
     def announce(self, text: str) -> None:
-        """Show one line about what begins."""
+        """Print a line about the work that begins."""
         announce(text, self.quiet)
 
     def promise(self, text: str) -> None:
-        """Show one line that must stand before the answer."""
+        """Print a line that must precede the answer, even if quiet."""
         announce(text, False)
 
     def stage(
         self, title: str, total: int, described: Described | None = None, counted: str = ""
     ) -> AbstractContextManager[Progress]:
-        """Show one stage of the work until it ends."""
+        """Show the progress of one stage."""
         return progress(title, total, self.quiet, described, counted)
 
 
 def announce(text: str, quiet: bool) -> None:
-    """One line about what begins."""
+    """Print a line on standard error unless quiet."""
     if not quiet and sys.stderr is not None:
         print(text, file=sys.stderr, flush=True)
 
 
 def timed_lines() -> Callable[[str], None]:
-    """A teller of lines on standard error, each with the seconds since it was made."""
+    """A function that prints lines on standard error, each with the seconds since this call."""
     begun = time.perf_counter()
 
     def tell(text: str) -> None:
@@ -170,8 +170,8 @@ def progress(
 ) -> Iterator[Progress]:
     """Show the progress of a work until it ends.
 
-    total : the budget of iterations, which a search need not use, or the number of ``counted``, such as
-    "plates", all of which are done. described : the misfit in words.
+    total : largest number of iterations of a search, or the exact number of ``counted``, such as "plates".
+    described : the misfit in words.
     """
     if quiet or sys.stderr is None:
         yield Progress(lambda iteration, best: None, lambda text: None)
@@ -185,7 +185,7 @@ def progress(
 
 @dataclass(frozen=True, slots=True)
 class _Count:
-    """How far a stage is, in words; counted : "" for the iterations of a search."""
+    """Progress of a stage in words; counted : "" for the iterations of a search."""
 
     total: int
     described: Described | None
@@ -198,20 +198,20 @@ class _Count:
 
     @property
     def begun(self) -> str:
-        """The size of the stage."""
+        """Size of the stage."""
         return f"{self.total} {self._named}" if self.counted else f"up to {self.total} iterations"
 
     def at(self, iteration: int, best: float) -> str:
-        """The iteration, or the number of what is done, and the value that goes with it."""
+        """Number done, and the described value."""
         number = f"{iteration} of {self.total}"
         done = f"{number} {self._named}" if self.counted else f"iteration {number}"
         return done if self.described is None else f"{done}, {self.described(best)}"
 
 
 class Forecast:
-    """Says what takes longer than a minute, once for each time that it moves the end.
+    """Announces work that takes longer than a minute, again whenever the end is delayed.
 
-    Whatever has a number of parts counts: the iterations of a stage, and items that are shared out.
+    Work counts if it has a number of parts: the iterations of a stage, or items given to workers.
     """
 
     def __init__(self) -> None:
@@ -221,7 +221,7 @@ class Forecast:
 
     @contextmanager
     def stage(self, total: int, *, is_budget: bool = False) -> Iterator[Clock]:
-        """The clock of a stage; what is shared out inside it says no other time."""
+        """The clock of a stage; work shared out inside it announces no times of its own."""
         before, self._stage = self._stage, Clock(total, self, is_budget=is_budget)
         try:
             yield self._stage
@@ -229,7 +229,7 @@ class Forecast:
             self._stage = before
 
     def shared_out(self, done: int, total: int) -> None:
-        """Take note of items that are shared out."""
+        """Record the progress of items given to workers."""
         if self._stage is not None and self._stage.has_told:
             return
         if not done or self._items is None:
@@ -237,9 +237,9 @@ class Forecast:
         self._items.left(done)
 
     def expect(self, clock: Clock, now: float, whole: float, left: float) -> None:
-        """Say what a part takes, if it is long and does not end when it was said; all in seconds.
+        """Announce the duration of a part, if it is long and does not end as announced; all in seconds.
 
-        What was said of the part before, or of the stage that it is in, is corrected.
+        An earlier announcement for this part or the stage around it is corrected.
         """
         if whole < _LONG or now + left <= self._end + _LATER * whole:
             return
@@ -255,9 +255,9 @@ _forecast: ContextVar[Forecast | None] = ContextVar("forecast", default=None)
 
 @contextmanager
 def forecasting() -> Iterator[Forecast]:
-    """Say on standard error how long parts of the work inside take, where it is above a minute.
+    """Announce durations above a minute on standard error, for the work inside.
 
-    It is measured: the time of the first iterations or items times their number.
+    The estimate is the measured time of the first iterations or items times their number.
     """
     current = _forecast.get()
     if current is not None:
@@ -273,9 +273,9 @@ def forecasting() -> Iterator[Forecast]:
 
 
 class Clock:
-    """Estimates from what is done how long the rest takes, of a budget of iterations at most.
+    """Estimates the remaining time from the part done; an upper bound for a budget of iterations.
 
-    forecast : is told what takes long, nobody where left out
+    forecast : notified of long durations, if any
     """
 
     def __init__(self, total: int, forecast: Forecast | None = None, *, is_budget: bool = False) -> None:
@@ -285,7 +285,7 @@ class Clock:
         self.has_told = self.is_expected = False
 
     def left(self, iteration: int) -> str:
-        """The time that is left, with a comma before it; nothing where it is short or not known."""
+        """The remaining time after a comma; "" where it is short or unknown."""
         now = time.monotonic()
         if self._first is None or iteration < self._first[0]:
             self._first = (iteration, now)
@@ -303,7 +303,7 @@ class Clock:
 
 
 def duration(seconds: float) -> str:
-    """A time in words: 40 s, 12 min, 3 h 20 min."""
+    """A duration in words, rounded up: 40 s, 12 min, 3 h 20 min."""
     if seconds <= 55.0:
         return f"{math.ceil(seconds / 5.0) * 5} s"
     minutes = math.ceil(seconds / 60.0)

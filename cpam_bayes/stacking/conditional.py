@@ -1,9 +1,8 @@
 """Conditional posteriors of stacking sequences, many sequences at once.
 
-Given a sequence, what is left is a posterior of the constants, of what all frequencies have in common by
-errors of sizes, mass, frequency scale and theory, and of the noise. Its evidence is Laplace's about
-the best of a few optima (`fit_conditionals`), or that of importance sampling about the same optima
-(`importance_evidence`).
+Given a sequence, the posterior is over the constants, the common errors of all frequencies, by sizes, mass,
+frequency scale and theory, and the noise. Its evidence is by Laplace's method about the best of a few optima
+(`fit_conditionals`), or by importance sampling about the same optima (`importance_evidence`).
 """
 
 from __future__ import annotations
@@ -33,39 +32,39 @@ from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
 
-# Two optimisations of a sequence ended at one optimum if they are this near, in standard deviations.
+# Distance, in standard deviations, within which two optimisations of a sequence ended at one optimum.
 _SAME = 0.5
-# Optima this far below the best one of a sequence carry nothing.
+# Optima this far below the best one of a sequence carry no probability.
 _NEGLIGIBLE_NATS = 12.0
-# Least curvature, against a flat direction that prior and data leave.
+# Least curvature, against a direction that prior and data leave flat.
 CURVATURE_FLOOR = 1e-3
 # Optimisations end where a step promises less than this, nats, or after so many steps.
 _PROMISED, _MOST_STEPS = 1e-4, 30
-# What is left to gain, over what a quadratic promises, of an optimisation that may be given up.
+# Possible remaining gain of an optimisation that may be given up, over what a quadratic promises.
 _UNFORESEEN = 1.5
-# Numbers in the matrices of sequences that are solved for together: they stay in the processor's cache.
+# Numbers in the matrices of sequences that are solved for together: they fit in the processor's cache.
 _CACHED = 1 << 19
-# Degrees of freedom and widening of the proposals of importance sampling. Light tails scatter less with few
-# points; the mean of 512 weights is too small with them where a constant is left open.
+# Degrees of freedom and widening of the proposals of importance sampling. With light tails few points scatter
+# less, but the mean of 512 weights is too small where a constant is left open.
 _LIGHT, _HEAVY = (6.0, 1.1), (3.0, 1.3)
 # Draws of the constants that are kept of each sequence.
 _KEPT = 32
 # Points of importance sampling that are solved for together.
 _POINTS = 2048
-# Rounds, log2, between which proposals are refitted.
+# Number of rounds, log2, between which proposals are refitted.
 _LOG2_ROUNDS = 2
 # Unsure evidences get 2^m times as many points, for each m in turn while they stay so.
 _MORE = (2, 4)
-# Basis for one sequence: sets of constants that it is made from, how much wider than the posterior they
-# lie, its relative error, and the most of that in noises.
+# Basis for one sequence: sets of constants from which it is made, their widening over the posterior, its
+# relative error, and the largest ratio of that to the noise.
 _OWN_SETS, _OWN_WIDER, _OWN_ERROR, _OWN_SHARE = 64, 1.5, 1e-3, 0.05
-# Points a dimension that the first proposal counts as where it is refitted.
+# Points per dimension for which the first proposal counts where it is refitted.
 _PRIOR_POINTS = 3.0
 # Least weight of an optimum that counts in a proposal, and the least fraction that it then gets.
 _USED, _LEAST_FRACTION = 1e-4, 0.1
 
 
-# Standard deviations that a common error is looked at about one, and the least factor.
+# Range of the factor of a common error about one, in standard deviations, and the least factor.
 _REACH, _LEAST_FACTOR = 5.0, 0.1
 
 
@@ -74,14 +73,14 @@ class CommonErrors:
     """Factors of the frequencies by errors of sizes, mass, scale and theory: 1 for the plate as stated.
 
     sd : (k,) of the factors, which are normal.
-    powers : (k, n_modes) of each in the frequency at each place of the predictions.
+    powers : (k, n_modes) of each factor in each predicted frequency.
     """
 
     sd: Array
     powers: Array
 
     def beside(self, model: ForwardModel) -> ForwardModel:
-        """A model with the factors as its last parameters."""
+        """The model with the factors as its last parameters."""
         if not len(self.sd):
             return model
         factors = tuple(_factor(f"common error {i}", sd) for i, sd in enumerate(self.sd.tolist(), 1))
@@ -98,12 +97,12 @@ def _factor(name: str, sd: float) -> Parameter:
 
 @dataclass(frozen=True, slots=True)
 class ConditionalPosterior:
-    """The posterior of constants (and noise) that any sequence of one layup has.
+    """The posterior of constants (and noise) for any sequence of one layup.
 
     model : reduced, of the unknown angles and then the constants.
     template : a posterior without angles, whose model is that of some sequence.
     axes : coordinates in which the prior is a standard normal.
-    common : what all frequencies have in common.
+    common : errors that all frequencies have in common.
     """
 
     model: ReducedModel
@@ -119,7 +118,7 @@ class ConditionalPosterior:
 
     @property
     def n_constants(self) -> int:
-        """Number of the constants, the first of the parameters."""
+        """Number of the constants, which are the first parameters."""
         return self.template.model.parameters.size - len(self.common.sd)
 
     @property
@@ -129,12 +128,12 @@ class ConditionalPosterior:
         return np.concatenate((np.arange(n), np.arange(n + len(self.common.sd), self.parameters.size)))
 
     def nominal(self, constants: Array) -> Array:
-        """Parameters of the model, (..., n), with the sizes as stated, of constants (..., n_constants)."""
+        """Model parameters (..., n) from constants (..., n_constants), with the sizes as stated."""
         as_stated = np.ones((*constants.shape[:-1], len(self.common.sd)))
         return np.concatenate((constants, as_stated), axis=-1)
 
     def at(self, angles_deg: Array, rows: Array | None = None) -> Posterior:
-        """The posterior of stacks whose row i has the sequence i, or rows[i], of (m, n_angles) degrees."""
+        """The posterior of stacks whose row i has the sequence i, or rows[i], among (m, n_angles) degrees."""
         geometry = _geometry(self, angles_deg)
         geometry = geometry if rows is None else _rows(geometry, rows)
         return replace(self.template, model=self.model_at(geometry))
@@ -144,13 +143,13 @@ class ConditionalPosterior:
         return self.common.beside(_model_at(self.model, self.n_angles, geometry))
 
     def relative_noise(self, x: Array) -> Array:
-        """Standard deviations of noise and rounding over the frequencies at parameters x (m, n), (m, n_f)."""
+        """Relative standard deviations (m, n_f) of noise and rounding at parameters x (m, n)."""
         noise = self.template.noise_model
         variance = (self.template.amplitude(x)[:, None] * noise.scale) ** 2 + noise.rounding
         return np.asarray(np.sqrt(variance) / self.template.measurement.frequencies)
 
     def least_noise(self, x: Array) -> float:
-        """The least of these at any of the parameters x (m, n)."""
+        """The least relative noise at any of the parameters x (m, n)."""
         return float(self.relative_noise(x).min())
 
 
@@ -162,7 +161,7 @@ def conditional_posterior(
     common: CommonErrors = NO_ERRORS,
     **options: Any,
 ) -> ConditionalPosterior:
-    """The posterior of the constants of a model whose first ``n_angles`` parameters are ply angles.
+    """The conditional posterior of a model whose first ``n_angles`` parameters are ply angles.
 
     options : as of ``plate_posterior``.
     """
@@ -200,7 +199,7 @@ def _state_at(
     if geometry is None or len(geometry.first) == 1:
         return found if geometry is None else replace(found, layup=geometry)
     shape = np.broadcast_shapes(*(np.shape(v) for v in values.values()))
-    # derivatives ask for every row as often as there are parameters, along a further axis
+    # derivatives repeat every row for each parameter, along a further axis
     return replace(found, layup=_rows(geometry, np.s_[:, None] if len(shape) > 1 else np.s_[:]))
 
 
@@ -209,7 +208,7 @@ def _admissible_at(admissible: Any, angles: Values, values: Values) -> Any:
 
 
 def _rows(geometry: LaminateGeometry, rows: Any) -> LaminateGeometry:
-    """The geometry of some layups of a stack."""
+    """Geometry of some layups of a stack."""
     return replace(
         geometry,
         in_plane=geometry.in_plane[rows],
@@ -249,7 +248,7 @@ Stack = TypeVar("Stack")
 
 
 def joined(pieces: list[Stack]) -> Stack:
-    """Several stacks as one."""
+    """Several stacks concatenated."""
     kind: Any = type(pieces[0])
     found: Stack = kind(*(np.concatenate([getattr(p, name) for p in pieces]) for name in kind.__slots__))
     return found
@@ -269,8 +268,8 @@ def fit_conditionals(
     bounds there, and a constant that the data leave open is integrated exactly.
 
     starts : (s, n) for all sequences, or (m, s, n), parameters.
-    promised : gain in nats below which one ends.
-    floor : log evidence, optimisations that will not reach it are given up; what they found lies below it.
+    promised : promised gain in nats below which an optimisation ends.
+    floor : log evidence; optimisations that will not reach it are given up, with a result below it.
     """
     starts = np.broadcast_to(starts, (len(angles_deg), *starts.shape[-2:]))
     largest = max(block.size for block in conditional.model.fast.operator.blocks)
@@ -319,7 +318,7 @@ def _fit(
 
 
 def _stays_below(floor: float, e: Expansion) -> Array:
-    """Whether Laplace's log evidence at the optimum stays below a floor, by far more than is promised."""
+    """Whether Laplace's log evidence at the optimum stays below a floor, far beyond any promised gain."""
     matrix = e.curvature + CURVATURE_FLOOR * np.eye(e.gradient.shape[1])
     promised = promised_gain(e.gradient, matrix)
     return np.asarray(e.value + _UNFORESEEN * promised + log_volume(matrix) < floor)
@@ -328,10 +327,10 @@ def _stays_below(floor: float, e: Expansion) -> Array:
 def _expand(
     conditional: ConditionalPosterior, geometry: LaminateGeometry, z: Array, rows: Array
 ) -> Expansion:
-    """Log density over normal scores of stacks whose rows have the sequences ``rows`` of a geometry."""
+    """Log density over normal scores, expanded, of stacks whose rows are sequences ``rows`` of a geometry."""
     axes = conditional.axes
     x = axes.to_x(z)
-    # rows outside the support go first: every row of a stack must have its parameter set
+    # rows outside the support are removed first: every row of a stack must have its parameter set
     inside = np.flatnonzero(np.isfinite(conditional.template.log_prior(x)))
     m, n = z.shape
     found = Expansion(np.full(m, -np.inf), np.zeros((m, n)), np.zeros((m, n, n)))
@@ -346,13 +345,13 @@ def _expand(
 
 @dataclass(frozen=True, slots=True)
 class RefinementSettings:
-    """When importance sampling of a stacking sequence takes more trouble.
+    """When importance sampling of a stacking sequence is refined.
 
-    refitted_from : log2 of the points from which on the proposal is refitted.
-    resampled_from : log2 of the points from which on the proposal has heavy tails, and an unsure evidence is
-        sampled again.
-    unsure : standard error of a log evidence that is.
-    large : functions in a block from which on an unsure sequence gets a basis for itself.
+    refitted_from : least log2 of the points with which the proposal is refitted.
+    resampled_from : least log2 of the points with which the proposal has heavy tails, and an unsure evidence
+        is sampled again.
+    unsure : standard error above which a log evidence is unsure.
+    large : least number of functions in a block with which an unsure sequence gets its own basis.
     """
 
     refitted_from: int = 7
@@ -383,7 +382,7 @@ class Conditionals:
     draws: Array
 
     def __getitem__(self, rows: Any) -> Conditionals:
-        """Those of some of the sequences."""
+        """Conditional posteriors of some of the sequences."""
         return Conditionals(*(getattr(self, name)[rows] for name in self.__slots__))
 
 
@@ -399,9 +398,8 @@ def importance_evidence(
     """Conditional posteriors of sequences by importance sampling about their optima.
 
     The proposal is a mixture of Student-t densities about the optima, refitted after each quarter of 128
-    points or more, see ``importance``. Evidences of 512 points and
-    more that stay unsure are sampled again with four times as many, and with sixteen times, where solves
-    are slow on bases that are made for each.
+    points or more, see ``importance``. Unsure evidences of 512 points or more are sampled again with four
+    times as many, and if still unsure with sixteen times; where solves are slow, each on a basis of its own.
     """
     found = _in_parts(conditional, angles_deg, fits, log2_points, settings)
     for more in _MORE if log2_points >= settings.resampled_from else ():
@@ -440,9 +438,9 @@ def _in_parts(
 def _on_own_basis(
     conditional: ConditionalPosterior, angles_deg: Array, known: Conditionals, large: int
 ) -> ConditionalPosterior:
-    """The posterior on a basis for one sequence (k,) and what is known of its constants.
+    """The posterior on a basis for one sequence (k,) and the known range of its constants.
 
-    These are spread independently, which covers the posterior whatever its correlations are.
+    The constants are spread independently, which covers the posterior whatever its correlations are.
     """
     if max(block.size for block in conditional.model.fast.operator.blocks) < large:
         return conditional
@@ -487,8 +485,8 @@ def _importance(
     x = conditional.axes.to_x(found.points)
     mean = np.einsum("mp,mpj->mj", found.weight, x)
     sd = np.sqrt(np.einsum("mp,mpj->mj", found.weight, (x - mean[:, None, :]) ** 2))
-    # systematic resampling over the points as the Sobol sequence has them, which is as good as at random; all
-    # sequences have the same points: each begins elsewhere, so that together they do not err alike
+    # systematic resampling over the points in Sobol order, which is as good as random; all sequences have the
+    # same points: each begins elsewhere, so that their errors differ
     begin = (0.5 + angles_deg @ np.sqrt(np.arange(2.0, 2.0 + angles_deg.shape[1]))) % 1.0
     places = (np.arange(_KEPT) + begin[:, None, None]) / _KEPT
     kept = np.sum(np.cumsum(found.weight, axis=1)[:, :, None] < places, axis=1)
@@ -499,7 +497,7 @@ def _importance(
 
 
 def _log_density(conditional: ConditionalPosterior, angles_deg: Array, z: Array) -> Array:
-    """Log density over normal scores z (m, p, n), row i having the sequence i, (m, p)."""
+    """Log density (m, p) over normal scores z (m, p, n), row i having the sequence i."""
     axes, (m, p, n) = conditional.axes, z.shape
     z = z.reshape(m * p, n)
     x = axes.to_x(z)
@@ -507,7 +505,7 @@ def _log_density(conditional: ConditionalPosterior, angles_deg: Array, z: Array)
         conditional.template.log_prior(x)
     )
     found = np.full(m * p, -np.inf)
-    # every row of a stack must have its parameter set: those outside the support go first
+    # every row of a stack must have its parameter set: those outside the support are removed first
     rows = np.flatnonzero(inside)
     if len(rows):
         at = conditional.at(angles_deg, rows // p)

@@ -1,6 +1,6 @@
-"""Evidences of stacks of sequences: their starts, their reduced bases, and the work shared out.
+"""Evidences of stacks of sequences: starts, reduced bases, and the distribution of the work.
 
-An optimisation starts from the constants of a library whose frequencies are most like the measured ones, or
+An optimisation starts from the constants of a library whose frequencies are closest to the measured ones, or
 from optima of neighbouring sequences. Bases are small: one for the whole box, one about the posterior, one
 for a single sequence.
 """
@@ -32,35 +32,35 @@ Array = NDArray[Any]
 
 # Numbers in the matrices of sequences that are solved for together.
 _TOGETHER = 2048
-# Sequences that a worker takes at a time: where all is computed, and where only optima are located.
+# Sequences per task of a worker: where everything is computed, and where only optima are located.
 _BATCH, _LOCATED = 32, 512
 # Optimisations that only locate an optimum end where a step promises less than this, nats.
 _NEARLY = 3e-3
-# Members of a library that an optimisation starts from.
+# Members of a library from which an optimisation starts.
 _SCANNED = 2
-# Neighbours among which the second start is looked for.
+# Neighbours among which the second start is sought.
 _NEIGHBOURS = 8
-# A first basis for the whole box: parameter sets that it is made from, and its relative error.
+# A first basis for the whole box: parameter sets from which it is made, and its relative error.
 _BOX_SETS, _BOX_ERROR = 400, 5e-3
-# The basis about the posterior: how far below the best, nats, a sequence belongs to it; sets; error.
+# The basis about the posterior: nats below the best within which a sequence belongs to it; sets; error.
 NEAR, _NEAR_SETS, _NEAR_ERROR = 18.0, 800, 2e-3
-# Share of the frequencies that the errors are those of, where the noise, relative, is so large: few sets at
-# the rim of a wide posterior, which weigh little, would take as many vectors as all others.
+# Share of the frequencies that must have these errors where the relative noise is at least so large: few sets
+# at the rim of a wide posterior, with little weight, would take as many vectors as all others.
 _MOST, _NOISY = 0.98, 8e-3
-# Both errors are at most these shares of the noise, as far as it is known.
+# Both errors are at most these shares of the noise, where it is known.
 _BOX_SHARE, _NEAR_SHARE = 0.3, 0.05
-# The same of the basis of the sieve; sequences that a worker sieves at a time, and those located without a
-# floor, the best by the misfit of their first start.
+# This share for the basis of the sieve; sequences per task of a worker, and number located first, without a
+# floor: the best by the misfit of their first start.
 _SIEVE_SHARE, _SIEVED, _PILOT = 2.5, 64, 32
-# The basis for one sequence and all constants: sets, the least and the largest relative error, and the share
-# of the noise that it is between them.
+# The basis for one sequence and all constants: sets, the least and the largest relative error, and between
+# them the share of the noise.
 _SEQUENCE_SETS, _SEQUENCE_ERRORS, _SEQUENCE_SHARE = 600, (2e-5, 2e-4), 0.02
-# Share of the draws whose noise may be less than the one that counts where it is inferred.
+# Quantile over the draws of the noise that counts where it is inferred.
 _LEAST_NOISE = 0.01
 
 
 def scan_library(conditional: ConditionalPosterior, size: int, rng: np.random.Generator) -> Array:
-    """Constants drawn from their prior that meet the constraints (9), (size or fewer, n_constants)."""
+    """Constants (size or fewer, n_constants) drawn from their prior that satisfy the constraints (9)."""
     n = conditional.n_constants
     drawn = conditional.parameters.sample(rng, 8 * size)
     return np.asarray(drawn[np.isfinite(conditional.template.log_prior(drawn))][:size, :n])
@@ -69,15 +69,14 @@ def scan_library(conditional: ConditionalPosterior, size: int, rng: np.random.Ge
 def scanned_starts(
     conditional: ConditionalPosterior, angles_deg: Array, library: Array, n: int
 ) -> tuple[Array, Array]:
-    """The n members of a library that suit the list best with each sequence (m, k), (m, n, n_parameters).
+    """The n members (m, n, n_parameters) of a library that fit the list best with each sequence (m, k).
 
-    Second, the misfits of their frequencies, root mean squares of logarithms, (m, n).
+    Second, the misfits (m, n) of their frequencies, root mean squares of logarithms.
 
-    Stiffnesses that are all multiplied by a^2 multiply all frequencies by a (but for the bias of the theory):
-    each member counts with the factor that suits the list best, as far as the bounds allow. Where modes
-    cross, optima are many, and
-    the nearest member is in the right one more often than a fixed start. An inferred noise starts at the
-    misfit.
+    Multiplying all stiffnesses by a^2 multiplies all frequencies by a (but for the bias of the theory):
+    each member is taken with the factor that fits the list best, as far as the bounds allow. Where modes
+    cross there are many optima, and the nearest member is in the right one more often than a fixed start. An
+    inferred noise starts at the misfit.
 
     library : (p, n_constants).
     """
@@ -125,7 +124,7 @@ class Evaluated:
 
     @property
     def log_evidence(self) -> Array:
-        """Log evidence by importance sampling, (m,)."""
+        """Log evidence (m,) by importance sampling."""
         return self.conditionals.log_evidence
 
     def __getitem__(self, rows: Any) -> Evaluated:
@@ -144,10 +143,9 @@ def evaluate(
     *,
     scanned: int = _SCANNED,
 ) -> Evaluated:
-    """Log evidence of sequences (m, k) by importance sampling, optimised from starts (m, s, n) or (s, n).
+    """Evaluate sequences (m, k) by importance sampling, optimised from starts (m, s, n) or (s, n).
 
-    library : (p, n_constants) constants, of which the ``scanned`` best ones of each sequence are starts as
-    well.
+    library : (p, n_constants) constants, of which the ``scanned`` best for each sequence are further starts.
     """
     angles = grid_deg[sequences]
     starts = np.broadcast_to(starts, (len(sequences), *starts.shape[-2:]))
@@ -170,7 +168,7 @@ def _evaluate_batch(
 
 
 def merged(a: Evaluated, b: Evaluated) -> Evaluated:
-    """Both, one after the other."""
+    """Two groups of evaluated sequences, concatenated."""
     return Evaluated(
         np.concatenate((a.sequences, b.sequences)),
         joined([a.fits, b.fits]),
@@ -179,7 +177,7 @@ def merged(a: Evaluated, b: Evaluated) -> Evaluated:
 
 
 def with_optima(data: Evaluated, n: int) -> Evaluated:
-    """The same with the n optima of each sequence that count most."""
+    """Evaluated sequences with only the n heaviest optima of each."""
     fits = data.fits
     best = np.argsort(-fits.weight, axis=1, kind="stable")[:, :n]
     row = np.arange(len(best))[:, None]
@@ -211,8 +209,8 @@ def locate(
 ) -> Located:
     """Laplace's evidence of sequences (m, k), each optimised from one start next to its optimum.
 
-    near : (m, n) parameters, the optima of neighbours. Those that end below the ``least`` log evidence (m,)
-    are optimised again from the common ``starts`` (s, n).
+    near : (m, n) parameters, the optima of neighbours. Sequences that end below the ``least`` log evidence
+    (m,) are optimised again from the common ``starts`` (s, n).
     """
     angles = grid_deg[sequences]
     items = [
@@ -239,10 +237,10 @@ def _locate_batch(conditional: ConditionalPosterior, item: tuple[Array, Array, A
 
 @dataclass(frozen=True, slots=True)
 class Neighbours:
-    """Where evaluated sequences lie among all: a tree over their features and all images of these.
+    """Evaluated sequences as a search tree over their features and all images of these.
 
     tree : over points in units of ``lengths`` (d,).
-    owner : which sequence a point belongs to.
+    owner : index of the sequence that each point belongs to.
     x : (m, n) optima of the sequences.
     """
 
@@ -252,11 +250,11 @@ class Neighbours:
     x: Array
 
     def nearest(self, features: Array) -> Array:
-        """Optima of the nearest sequences, (m, n)."""
+        """Optima (m, n) of the nearest sequences."""
         return self.x[self.owner[self.tree.query(features / self.lengths)[1]]]
 
     def starts(self, features: Array, nearest: Array | None = None) -> Array:
-        """Two starts of each, (m, 2, n): the nearest optimum or a given one (m, n), and an unlike one."""
+        """Two starts (m, 2, n) of each: the nearest optimum, or a given one (m, n), and a different one."""
         n = min(_NEIGHBOURS, self.tree.n)
         around = self.tree.query(features / self.lengths, k=np.arange(1, n + 1))[1]
         some = self.x[self.owner[around]]
@@ -265,7 +263,7 @@ class Neighbours:
         return np.stack((first, some[np.arange(len(some)), away.argmax(axis=1)]), axis=1)
 
     def mean(self, features: Array, values: Array) -> Array:
-        """Mean over the nearest sequences of values that they have (m,), near ones counting more."""
+        """Mean over the nearest sequences of their values (m,), near ones counting more."""
         n = min(_NEIGHBOURS, self.tree.n)
         distance, around = self.tree.query(features / self.lengths, k=np.arange(1, n + 1))
         weight = 1.0 / (distance + 0.1 * np.mean(distance) + 1e-12)
@@ -273,7 +271,7 @@ class Neighbours:
 
 
 def neighbours(features: Array, x: Array, lengths: Array, images: Array) -> Neighbours:
-    """The tree of sequences with features (m, d), their images by changes of sign (n_images, d)."""
+    """Tree of sequences with features (m, d) and images by changes of sign (n_images, d)."""
     points = (features[None] * images[:, None, :] / lengths).reshape(-1, features.shape[1])
     return Neighbours(cKDTree(points), lengths, np.tile(np.arange(len(features)), len(images)), x)
 
@@ -287,10 +285,10 @@ def in_sight(
     rng: np.random.Generator,
     executor: Executor | None,
 ) -> tuple[Array, Array]:
-    """The sequences (m, k) that may be within ``NEAR`` of the best, their rows, and their optima, (r, n).
+    """Rows of the sequences (m, k) that may be within ``NEAR`` of the best, and their optima (r, n).
 
-    Optimisations on a basis that is good to a few times the noise, from the common ``starts`` (s, n) and from
-    the library, are given up as soon as they promise to end out of sight. What was given up is sought once
+    Optimisations on a basis accurate to a few times the noise, from the common ``starts`` (s, n) and from the
+    library, are given up as soon as they promise to end out of sight. Sequences given up are optimised once
     more from the optimum of the nearest sequence in sight.
     """
     error = min(_BOX_ERROR, _SIEVE_SHARE * _known_noise(conditional))
@@ -317,7 +315,7 @@ def in_sight(
 
     locate_all(order[:_PILOT], starts, -np.inf)
     best = int(found.log_evidence.argmax())
-    # misfits, in standard deviations, that the error of the basis may add
+    # misfit, in standard deviations, that the error of the basis may add
     more = np.sqrt(conditional.template.measurement.size) * error / basis.least_noise(found.x[best, None])
     floor = float(found.log_evidence[best] - 0.5 * (np.sqrt(2.0 * NEAR) + more) ** 2)
     locate_all(order[_PILOT:], starts, floor)
@@ -341,13 +339,13 @@ def _sieve_batch(basis: ConditionalPosterior, item: tuple[Array, Array, float]) 
 
 
 def angle_functions(angles_deg: Array) -> Array:
-    """cos and sin of twice and four times every angle (m, k), (m, 4 k): near ones are of near sequences."""
+    """cos and sin (m, 4 k) of twice and four times every angle (m, k), close for similar sequences."""
     t = np.deg2rad(angles_deg)
     return np.concatenate([f(n * t) / n for n in (2, 4) for f in (np.cos, np.sin)], axis=1)
 
 
 def roughly(conditional: ConditionalPosterior, rng: np.random.Generator) -> ConditionalPosterior:
-    """The posterior on a small basis for the whole box, which says where the mass is."""
+    """The posterior on a small basis for the whole box, which shows where the mass is."""
     box = training_sets(conditional.model.full.operator.problem, _BOX_SETS, rng)
     noise = _known_noise(conditional)
     return replace(
@@ -366,7 +364,7 @@ def _known_noise(conditional: ConditionalPosterior) -> float:
 def about(
     conditional: ConditionalPosterior, grid_deg: Array, data: Evaluated, rng: np.random.Generator
 ) -> ConditionalPosterior:
-    """The posterior on a basis that is made for the sequences near the top and their constants."""
+    """The posterior on a basis made for the sequences near the top and their constants."""
     some = np.flatnonzero(data.log_evidence > data.log_evidence.max() - NEAR)
     draws = data.conditionals.draws[some]
     angles = np.repeat(grid_deg[data.sequences[some]], draws.shape[1], axis=0)
@@ -381,9 +379,9 @@ def about(
 
 
 def of_sequence(conditional: ConditionalPosterior, angles_deg: Array, noise: float) -> ConditionalPosterior:
-    """The posterior on a basis for one sequence (k,), wherever its constants are in their box.
+    """The posterior on a basis for one sequence (k,) and all constants in their box.
 
-    Constants alone change a mode far less than the angles do: a third of the vectors says as much.
+    Constants alone change a mode far less than the angles do: a third of the vectors suffices.
 
     noise : least standard deviation of a frequency, relative.
     """

@@ -2,8 +2,8 @@
 
 All sequences on the grid are enumerated by their first plies, the prefix: for each prefix all choices of the
 other plies at once. Those whose evidence, by the surrogate, can matter are listed and fitted one by one, and
-the evidence of those that carry the mass is sampled. The rest is summed; what lies outside the surrogate's
-cells is counted, and bounded by its lower bound.
+the evidence of those that carry the mass is sampled. The rest is summed; sequences outside the surrogate's
+cells are counted, and bounded by its lower bound.
 """
 
 from __future__ import annotations
@@ -38,44 +38,44 @@ Array = NDArray[Any]
 
 # Unknown angles behind a prefix, whose choices are taken together.
 INNER = 3
-# How far the best of a prefix may be above the best of those looked at, one in so many, in distances of that
-# from the one with this number for its rank.
+# Largest rise of a prefix's best above the best of a sample, one in so many of its sequences, over the
+# distance of the sample's best from the one whose rank is this number.
 _UNSEEN = 1.0
 # Width of a bin of log evidence, nats, and number of bins.
 BIN, BINS = 0.002, 20_000
 # Log evidence above the reference at which the bins begin, nats.
 BINS_BEGIN = 5.0
-# Fraction of the mass that the classes to sample must hold; where they hold less, twice as many as are listed
-# show what sampling changes.
+# Fraction of the mass that the sampled classes must hold; where they hold less, twice the listed number are
+# sampled, to show what sampling changes.
 _MIN_SAMPLED_FRACTION = 0.5
-# Nats, and root mean square errors of the surrogate, below it from which on an evidence may be that of a
-# lesser optimum.
+# An evidence so many nats, and root mean square errors of the surrogate, below the surrogate's may be that of
+# a lesser optimum.
 _SUSPECT_NATS, _SUSPECT_ERRORS = 0.3, 2.0
-# Of every so many listed sequences one is fitted first, for the others to start from.
+# One in so many listed sequences is fitted first, as a start for the others.
 _FITTED_FIRST = 16
-# Pieces that a worker evaluates the surrogate for.
+# Pieces in which workers evaluate the surrogate.
 _PIECES = 64
-# Draws at which the basis made for the posterior is compared with full solves.
+# Draws at which the posterior's basis is compared with full solves.
 _BASIS_SETS = 24
 # Fewest draws from a part that is not sampled.
 _MIN_DRAWS = 64
-# Weight of a draw, in mean weights, from which on its error counts: of others the surrogate was far too high.
+# Least weight of a draw, in mean weights, whose error counts: for others the surrogate was far too high.
 _MIN_WEIGHT = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Enumeration:
-    """The log evidence of all sequences, and which of them are to be listed.
+    """The log evidence of all sequences, and the threshold for listing them.
 
-    table : log evidence on cells; ``None`` where ``every`` (n_prefixes, g^n_inner) holds that of every
+    table : log evidence on cells; ``None`` where ``every`` (n_prefixes, g^n_inner) holds that of each
     sequence.
     sums : over the plies.
     reference : log evidence that weights are relative to, about the largest.
     negation : (n_grid,) grid index of minus each angle where sequences and their mirror images are equally
     probable, else ``None``.
     threshold : sequences with this log evidence or more are listed one by one, the others are summed.
-    share : of every so many choices of the last plies one is looked at, where none is near the threshold.
-    mixed : in which order they are shared out, (g^n_inner,); ``None`` where all are looked at.
+    share : one in so many choices of the last plies is evaluated, where none is near the threshold.
+    mixed : (g^n_inner,) order in which the choices are distributed; ``None`` where all are evaluated.
     """
 
     table: PiecewiseLinearSurrogate | None
@@ -114,8 +114,8 @@ class PartialSums:
     entropy : sum of weight * (log evidence - reference).
     listed : (b, k) grid indices.
     log_evidence : (b,) of those listed.
-    times : (b,) 2 for those that stand for their mirror images as well, else 1.
-    kept, left_out : all sequences inside and outside the cells.
+    times : (b,) 2 for those that also stand for their mirror images, else 1.
+    kept, left_out : number of sequences inside and outside the cells.
     """
 
     prefixes: Array
@@ -132,20 +132,20 @@ class PartialSums:
 
 
 def place_values(base: int, digits: int) -> Array:
-    """The value of each digit of a number, the largest first, (digits,)."""
+    """Place values (digits,) of the digits of a number, the largest first."""
     return np.asarray(base ** np.arange(digits - 1, -1, -1, dtype=np.int64))
 
 
 def prefixes_to_visit(enumeration: Enumeration) -> Array:
-    """Numbers of the prefixes that stand for all: the first of two mirror images."""
+    """Numbers of the prefixes that stand for all: of two mirror images the first."""
     every = np.arange(enumeration.n_prefixes)
     return every[every <= _mirror_images(enumeration, every)]
 
 
 def enumerate_prefixes(enumeration: Enumeration, prefixes: Array) -> PartialSums:
-    """All sequences that begin with some prefixes (p,), or a share of each that stands for all.
+    """Sums over all sequences that begin with some prefixes (p,), or over a sample of each.
 
-    Where one of the share is near the threshold, all of the prefix are looked at.
+    If one of the sample is near the threshold, all sequences of the prefix are evaluated.
     """
     g, n_inner, k = len(enumeration.sums.grid_deg), enumeration.n_inner, enumeration.sums.n_unknown
     times = np.ones(len(prefixes), dtype=np.int64)
@@ -192,7 +192,7 @@ def enumerate_prefixes(enumeration: Enumeration, prefixes: Array) -> PartialSums
 
 
 def combined(parts: Sequence[PartialSums]) -> PartialSums:
-    """The sums and lists of several parts as one."""
+    """Sums and lists of several parts combined."""
     joined: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts])
         for name in ("prefixes", "mass", "listed", "log_evidence", "times")
@@ -205,7 +205,7 @@ def combined(parts: Sequence[PartialSums]) -> PartialSums:
 
 
 def values_of_prefix(enumeration: Enumeration, prefix: int) -> tuple[Array, Array]:
-    """Sequences (m, k) of one prefix that are summed, not listed, and their log evidence (m,)."""
+    """Unlisted sequences (m, k) of one prefix, and their log evidence (m,)."""
     digits, rows, log_evidence = next(_values(enumeration, np.array([prefix])))
     low = log_evidence < enumeration.threshold
     sequences = _sequences(len(enumeration.sums.grid_deg), enumeration.n_inner, digits, rows[low])
@@ -217,7 +217,7 @@ Values = tuple[Array, Array, Array]
 
 
 def _looked_at(enumeration: Enumeration, prefixes: Array) -> Iterator[tuple[*Values, int]]:
-    """The values of each prefix, and how many choices each of them stands for."""
+    """The values of each prefix, and the number of choices that each value stands for."""
     share, threshold = enumeration.share, enumeration.threshold
     for prefix, values in zip(prefixes, _values(enumeration, prefixes, share), strict=True):
         if share > 1 and np.isfinite(threshold) and _may_reach(values[2], share) >= threshold:
@@ -227,7 +227,7 @@ def _looked_at(enumeration: Enumeration, prefixes: Array) -> Iterator[tuple[*Val
 
 
 def _may_reach(log_evidence: Array, share: int) -> float:
-    """The most that any of a prefix may have, of which these (m,) are one in ``share``."""
+    """Largest log evidence that a prefix may have, of which these (m,) are one in ``share``."""
     if len(log_evidence) <= share:
         return float("inf") if len(log_evidence) else -float("inf")
     first = np.partition(log_evidence, -share)[-share:]
@@ -235,7 +235,7 @@ def _may_reach(log_evidence: Array, share: int) -> float:
 
 
 def _values(enumeration: Enumeration, prefixes: Array, share: int = 1) -> Iterator[Values]:
-    """The values of each prefix; of every ``share`` inner choices one, others for each prefix."""
+    """The values of each prefix, for one in ``share`` inner choices, which differ from prefix to prefix."""
     table, n_outer = enumeration.table, enumeration.sums.n_unknown - enumeration.n_inner
     digits = _prefix_digits(enumeration, prefixes)
     if table is None:
@@ -272,7 +272,7 @@ def _prefix_digits(enumeration: Enumeration, prefixes: Array) -> Array:
 
 
 def _mirror_images(enumeration: Enumeration, prefixes: Array) -> Array:
-    """Numbers of the mirror images of prefixes (p,), themselves where mirror images are not equal, (p,)."""
+    """Numbers (p,) of the mirror images of prefixes (p,), or of themselves where images are not equal."""
     if enumeration.negation is None:
         return prefixes
     digits = _prefix_digits(enumeration, prefixes)
@@ -288,17 +288,17 @@ def _sequences(n_grid: int, n_inner: int, outer: Array, rows: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class ListedClasses:
-    """The m classes that were fitted, in descending order of their log evidence as far as it is known.
+    """The m classes that were fitted, in descending order of their best known log evidence.
 
     sequences : (m, k) their first members.
     size : (m,) sequences in each class.
     count : (m,) sequences of each class on the list.
     log_evidence : (m,) nats.
-    sampled : (m,) whether by sampling.
+    sampled : (m,) True where it is by sampling.
     around : tree of their features.
     evaluated : the classes that were sampled.
-    refined : the first of them, their evidence refined.
-    class_of_row : (b,) which class each row of the enumeration's list is of.
+    refined : the first of them, with refined evidence.
+    class_of_row : (b,) class of each row of the enumeration's list.
     """
 
     sequences: Array
@@ -320,7 +320,7 @@ def evaluate_listed(
     images: Array,
     notify: Callable[[str], None],
 ) -> ListedClasses:
-    """Every listed class fitted, those that carry the mass sampled, the most probable ones refined."""
+    """Fit every listed class, sample those that carry the mass, and refine the most probable ones."""
     settings, top = problem.settings, trained.surrogate.top
     distinct = classes(totals.listed.astype(np.int64), problem.symmetries)
     sequences, label = distinct.representative, distinct.label
@@ -349,7 +349,7 @@ def evaluate_listed(
     best = np.argsort(-evaluated.log_evidence, kind="stable")[: settings.listed]
     leading = some[best]
     refined_best = refined(problem, trained, around, sequences[leading], features[leading], fits.x[leading])
-    # few points miss the tails of a conditional posterior, of all sequences alike
+    # few points miss the tails of a conditional posterior, for all sequences alike
     log_evidence += np.median(refined_best.log_evidence - evaluated.log_evidence[best])
     log_evidence[leading] = refined_best.log_evidence
     order = np.argsort(-log_evidence, kind="stable")
@@ -371,7 +371,7 @@ def evaluate_listed(
 def _number_to_sample(
     problem: StackingProblem, fits: Located, order: Array, count: Array, unlisted: float, reference: float
 ) -> int:
-    """How many of the classes in ``order`` are sampled; unlisted : mass of the others, exp(-reference)."""
+    """Number of the classes in ``order`` that are sampled; unlisted : mass of the others, exp(-reference)."""
     settings = problem.settings
     top = float(fits.log_evidence.max())
     mass = np.cumsum(count[order] * np.exp(fits.log_evidence[order] - top))
@@ -391,7 +391,7 @@ def _fitted(
     expected: Array,
     images: Array,
 ) -> Located:
-    """Laplace's evidence of sequences (m, k), from optima of the training set and then of one another.
+    """Laplace's evidence of sequences (m, k), started from optima of the training set and of each other.
 
     expected : (m,) the surrogate's log evidence.
     """
@@ -399,7 +399,7 @@ def _fitted(
     data, focused = trained.data, trained.focused
     training_features = sums.features(data.sequences)
     around = neighbours(training_features, data.fits.x, lengths, images)
-    # below this a lesser optimum may have been met
+    # below this a lesser optimum may have been found
     high = data.log_evidence > data.log_evidence.max() - NEAR
     laplace = np.median((data.fits.log_evidence - data.log_evidence)[high])
     least = expected + laplace - max(_SUSPECT_NATS, _SUSPECT_ERRORS * trained.surrogate.rms_error)
@@ -429,7 +429,7 @@ def refined(
     features: Array,
     x: Array | None,
 ) -> Evaluated:
-    """Sequences (m, k) optimised from optima nearby, the reference and the library, and sampled."""
+    """Sequences (m, k) sampled after optimisation from nearby optima, the reference and the library."""
     near = around.starts(features, x)
     common = np.broadcast_to(problem.starts[0], (len(sequences), 1, near.shape[2]))
     return evaluate(
@@ -444,7 +444,7 @@ def refined(
 
 
 def surrogate_values(surrogate: Surrogate, executor: Executor | None, features: Array) -> Array:
-    """The surrogate's log evidence at features (m, d), in parallel, (m,)."""
+    """The surrogate's log evidence (m,) at features (m, d), computed in parallel."""
     pieces = run(
         Surrogate.values,
         surrogate,
@@ -458,11 +458,11 @@ def surrogate_values(surrogate: Surrogate, executor: Executor | None, features: 
 
 @dataclass(frozen=True, slots=True)
 class DrawnPart:
-    """Draws from one part of the sequences, their evidence refined.
+    """Draws from one part of the sequences, with refined evidence.
 
-    mass : weight of the part before it is corrected.
+    mass : weight of the part before correction.
     data : the draws.
-    error : (d,) refined log evidence less the one they were drawn by, nats.
+    error : (d,) refined log evidence minus the one they were drawn by, nats.
     """
 
     mass: float
@@ -471,7 +471,7 @@ class DrawnPart:
 
     @property
     def correction(self) -> float:
-        """Log of the factor on the part's mass."""
+        """Log of the correction factor of the part's mass."""
         return float(np.log(np.mean(np.exp(self.error - self.error.max()))) + self.error.max())
 
 
@@ -484,7 +484,7 @@ def draw_parts(
     listed: ListedClasses,
     rng: np.random.Generator,
 ) -> tuple[DrawnPart | None, ...]:
-    """Draws from the classes that were sampled, from those fitted only, and from all that is not listed."""
+    """Draws from the sampled classes, from those only fitted, and from all unlisted sequences."""
     weight = listed.count * np.exp(listed.log_evidence - enumeration.reference)
     rows = (np.flatnonzero(listed.sampled), np.flatnonzero(~listed.sampled))
     masses = (*(float(weight[r].sum()) for r in rows), float(totals.mass.sum()))
@@ -510,7 +510,7 @@ def draw_parts(
 def _unlisted(
     enumeration: Enumeration, totals: PartialSums, n: int, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Sequences (n, k) drawn from those that are not listed, and the surrogate's log evidence (n,)."""
+    """Draws (n, k) from the unlisted sequences, and the surrogate's log evidence (n,) of them."""
     prefix = rng.choice(len(totals.mass), size=n, p=totals.mass / totals.mass.sum())
     sequences = np.empty((n, enumeration.sums.n_unknown), dtype=np.int64)
     value = np.empty(n)
@@ -532,7 +532,7 @@ def combined_posterior(
     parts: tuple[DrawnPart | None, ...],
     rng: np.random.Generator,
 ) -> StackingPosterior:
-    """The posterior of all parts together, those that were not sampled corrected by their draws."""
+    """Posterior of all parts together, unsampled ones corrected by their draws."""
     fitted, rest = (0.0 if part is None else part.correction for part in parts[1:])
     relative = listed.log_evidence + np.where(listed.sampled, 0.0, fitted) - enumeration.reference
     weight = np.exp(relative)
@@ -544,7 +544,7 @@ def combined_posterior(
     )
     left_out = totals.left_out * np.exp(enumeration.lower_bound - enumeration.reference)
     drawn_parts = [part for part in parts if part is not None]
-    # sampled classes count as they were drawn: a refined evidence differs by the noise of both
+    # sampled classes keep the evidence they were drawn by: a refined one differs by the noise of both
     weights = [
         np.exp(part.error) if part is not parts[0] else np.ones(len(part.error)) for part in drawn_parts
     ]
@@ -597,7 +597,7 @@ def combined_posterior(
 
 
 def basis_error_at(focused: ConditionalPosterior, grid_deg: Array, drawn: Evaluated, rows: Array) -> float:
-    """Largest relative error of a frequency by the basis for the posterior, from full solves at draws."""
+    """Largest relative frequency error of the posterior's basis, from full solves at draws."""
     rows = rows[:_BASIS_SETS]
     x = drawn.conditionals.draws[rows, 0, : focused.n_constants]
     return float(basis_error(focused.model, np.column_stack((grid_deg[drawn.sequences[rows]], x))).max())
@@ -606,7 +606,7 @@ def basis_error_at(focused: ConditionalPosterior, grid_deg: Array, drawn: Evalua
 def _credible_count(
     totals: PartialSums, listed: ListedClasses, weight: Array, correction: float, total: float
 ) -> int:
-    """Number of sequences in the smallest set with 95 %, the last group in proportion."""
+    """Number of sequences in the smallest set with 95 % probability, the last group in proportion."""
     value = np.exp(BINS_BEGIN - BIN * (np.arange(BINS) + 0.5) + correction)
     each = np.concatenate((weight, value))
     count = np.concatenate((listed.count, totals.count)).astype(float)
@@ -623,7 +623,7 @@ def _credible_count(
 def _marginals(
     enumeration: Enumeration, totals: PartialSums, listed: ListedClasses, weight: Array, factor: float
 ) -> Array:
-    """Probability of every angle, ply by ply, (k, n_grid)."""
+    """Probability (k, n_grid) of every angle, ply by ply."""
     g, n_outer = len(enumeration.sums.grid_deg), enumeration.sums.n_unknown - enumeration.n_inner
     outer = [
         np.bincount(totals.prefixes // p % g, totals.mass, minlength=g) for p in place_values(g, n_outer)

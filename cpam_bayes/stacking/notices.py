@@ -12,14 +12,14 @@ from cpam_bayes.stacking.posterior import StackingMixture
 from cpam_bayes.stacking.queries import BestFit
 from cpam_bayes.stacking.records import OVERLOOKED, StackingPosterior
 
-# Errors of the surrogate's log evidence and of an exact one that a reader should hear of, nats.
+# Errors, nats, above which a notice is given: of the surrogate's log evidence, and of a computed one.
 _ROUGH, _DOUBTFUL = 0.3, 0.3
-# Share of the probability of the first from which on an uncertain evidence matters.
+# Least share of the first class's probability with which an uncertain evidence matters.
 _COUNTS = 1e-3
-# No sequence explains a list whose residuals have a smaller probability by noise alone, or whose noise, where
-# it is inferred, is larger, relative.
+# No sequence explains a list whose residuals have a smaller p-value by noise alone, or whose inferred
+# relative noise is larger.
 UNEXPLAINED, _NOISY = 1e-3, 0.05
-# Difference of emcee and importance sampling that a reader should hear of, in standard errors: the largest
+# Difference of emcee and importance sampling, in standard errors, above which a notice is given: the largest
 # of a hundred moments of each of twenty classes exceeds it once in hundreds of times.
 _DISAGREE = 5.0
 
@@ -63,7 +63,7 @@ def _of_chains(mixture: StackingMixture) -> Iterator[Notice]:
 
 
 def _of_fit(result: StackingPosterior, fit: BestFit) -> Iterator[Notice]:
-    """Notices against all sequences, from the fit of the most probable one."""
+    """Notices that concern all sequences, from the fit of the most probable one."""
     template = result.conditional.template
     complete = template.measurement.complete
     if fit.p_value is not None and fit.p_value < UNEXPLAINED:

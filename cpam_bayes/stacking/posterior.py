@@ -1,10 +1,10 @@
-"""The posterior over every stacking sequence on the grid, and the constants over all of them: a mixture.
+"""The posterior over every stacking sequence on the grid, and of the constants over all of them: a mixture.
 
-Each stacking sequence is a component and has its evidence. Where there are few, every evidence is computed;
-where there are many, a surrogate of it is trained first, and it is computed where the probability is. Of the
-constants, the most probable class is sampled by emcee, started from a swarm, and so is each that has much of
-the probability; this checks the importance sampling, whose draws the others keep. Each class has the weight
-of its probability.
+Each stacking sequence is a component with its own evidence. Where there are few, every evidence is computed;
+where there are many, a surrogate of it is trained first, and it is computed where the probability is. The
+constants of the most probable class, and of each with a large probability, are sampled by emcee, started from
+a swarm; this checks the importance sampling, whose draws the others keep. Each class is weighted by its
+probability.
 """
 
 from __future__ import annotations
@@ -74,19 +74,19 @@ Array = NDArray[Any]
 
 # Modes computed beyond those measured where the frequency list may lack some.
 _SPARE_MODES = 4
-# Sequences over which the error of theory is averaged: a known layup is needed for it.
+# Sequences over which the error of theory is averaged, since it needs a known layup.
 _THEORY_SEQUENCES = 32
-# Sequences of which the one that comes nearest the list tells what its frequencies have in common: members of
-# the library that all are tried with, and sequences that are tried with the whole.
+# Sequences of which the one nearest to the list gives the common errors; members of the library with which
+# all are tried, and sequences that are tried with the whole library.
 _TRIED, _TRIED_WITH, _TRIED_AGAIN = 128, 12, 12
-# Noise beside which errors in common are judged where none is stated, their least share of it, and how many
-# directions of them are parameters at most.
+# Noise against which common errors are judged where none is stated, their least share of it, and the most
+# directions of them that are parameters.
 _USUAL_NOISE, _COUNTS, _MOST_COMMON = 0.002, 0.5, 3
-# Constants that optimisations may start from.
+# Constants from which optimisations may start.
 _LIBRARY_SIZE = 96
-# Fractions of the largest noise at which the two common starts begin.
+# Noise of the two common starts, over the largest.
 _START_NOISE = (0.05, 0.3)
-# Optima with a smaller fraction of a conditional evidence are no starts.
+# Optima with a smaller fraction of a conditional evidence are not used as starts.
 _MIN_START_FRACTION = 1e-3
 
 
@@ -100,12 +100,12 @@ def stacking_posterior(
     notify: Callable[[str], None] = lambda text: None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> StackingPosterior:
-    """The probability of every stacking sequence on the grid of a specimen's unknown angles.
+    """Probability of every stacking sequence on the grid of a specimen's unknown angles.
 
     p(s | f) is proportional to Z_s, the evidence of sequence s: all have the same prior probability. Errors
-    of sizes, mass and frequency scale are integrated over in it, as factors of all frequencies.
+    of sizes, mass and frequency scale are integrated out of it, as factors of all frequencies.
 
-    progress : is called with the pieces of the enumeration that are done, and with all.
+    progress : called with the numbers of done and of all pieces of the enumeration.
 
     The result does not depend on the executor. Raises ``ValueError`` if the specimen has no unknown angle,
     no measured frequencies or no unknown constants, or a layup that is unsymmetric or of several kinds of
@@ -132,7 +132,7 @@ def stacking_problem(
     executor: Executor | None = None,
     notify: Callable[[str], None] = lambda text: None,
 ) -> StackingProblem:
-    """The problem that ``stacking_posterior`` solves, its reduced model built; raises as that does."""
+    """The problem that ``stacking_posterior`` solves, with its reduced model; raises as that does."""
     measurement, unknowns = required(specimen)
     layup, grid = specimen.plate.layup, angle_grid(specimen.angle_grid_deg)
     sums = sums_of(specimen, settings)
@@ -162,10 +162,10 @@ def stacking_problem(
 
 
 def sums_of(specimen: Specimen, settings: StackingSettings = DEFAULT_SETTINGS) -> PlySums | None:
-    """Sums over plies of a specimen with unknown angles, None where sequences are few and these do not do.
+    """Sums over plies of a specimen with unknown angles, None where they do not apply and sequences are few.
 
-    Raises ``PlateFileError`` without an unknown angle, and for a layup that is unsymmetric or of several
-    kinds of plies with too many.
+    Raises ``PlateFileError`` without an unknown angle, and for a layup with too many that is unsymmetric or
+    of several kinds of plies.
     """
     layup, grid = specimen.plate.layup, angle_grid(specimen.angle_grid_deg)
     if not layup.n_unknown:
@@ -183,15 +183,15 @@ def sums_of(specimen: Specimen, settings: StackingSettings = DEFAULT_SETTINGS) -
 
 
 def with_angles(specimen: Specimen, angles: Array) -> Specimen:
-    """A specimen with values of its unknown angles (k,), degrees."""
+    """The specimen with given values (k,), degrees, of its unknown angles."""
     layup = specimen.plate.layup.with_angles(angles)
     return replace(specimen, plate=replace(specimen.plate, layup=layup))
 
 
 def model_of(sequence: Specimen, model: ReducedModel) -> PlateModel:
-    """The full model of a specimen with known angles, whose reduced model has them as parameters.
+    """Full model of a specimen with known angles, whose reduced model has them as parameters.
 
-    Where some sequences couple bending with stretching, the space of all has functions of its own.
+    Where some sequences couple bending with stretching, the space for all has further functions.
     """
     problem, full = plate_problem(sequence, sequence.unknowns), model.full
     if sequence.plate.layup.is_symmetric and full.basis is not None:
@@ -206,7 +206,7 @@ def model_of(sequence: Specimen, model: ReducedModel) -> PlateModel:
 def _nearest(
     as_stated: ConditionalPosterior, grid: Array, library: Array, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Of sequences drawn evenly that whose frequencies come nearest the list, (k,) degrees, fitted to it.
+    """The evenly drawn sequence (k,), degrees, whose frequencies are nearest to the list, fitted to it.
 
     Second, its constants (n_constants,), at which modes are in the order of the list.
     """
@@ -219,9 +219,9 @@ def _nearest(
 
 
 def _theory_error(specimen: Specimen, model: ReducedModel, grid: Array, rng: np.random.Generator) -> Array:
-    """Relative sd of first-order theory, (n_modes,): root mean square over sequences of the grid.
+    """Relative sd (n_modes,) of first-order theory: root mean square over sequences of the grid.
 
-    What free edges give all modes, of which each sequence has its own, counts as scatter of single modes.
+    The common error by free edges, which differs between sequences, counts as scatter of single modes.
     """
     layup, squared = specimen.plate.layup, np.zeros(model.n_modes)
     of_clamps = common_theory_errors(specimen)[THEORY_LEVEL]
@@ -235,10 +235,9 @@ def _theory_error(specimen: Specimen, model: ReducedModel, grid: Array, rng: np.
 
 
 def _in_common(specimen: Specimen, model: ReducedModel, angles: Array, constants: Array) -> Array:
-    """Relative errors that the modes of a sequence (k,) have in common at its constants (n_constants,).
+    """Common relative errors (n_errors, n_modes) of a sequence (k,) at its constants (n_constants,).
 
-    A standard deviation of each by sizes, mass, frequency scale and theory, as of ``common_errors``,
-    (n_errors, n_modes).
+    One standard deviation of each: of sizes, mass, frequency scale and theory, as of ``common_errors``.
     """
     one = with_angles(specimen, angles)
     own = model_of(one, model)
@@ -247,10 +246,10 @@ def _in_common(specimen: Specimen, model: ReducedModel, angles: Array, constants
 
 
 def _common(errors: Array, measurement: Measurement) -> tuple[CommonErrors, Array]:
-    """Principal directions of relative errors (k, n), and the scatter of each mode by the rest, (n,).
+    """Principal directions of relative errors (k, n), and the scatter (n,) of each mode by the rest.
 
-    Thickness, mass and scale move all frequencies nearly alike: one factor has nearly all of it. What is
-    small beside the noise is scatter.
+    Thickness, mass and scale move all frequencies nearly alike: one factor has nearly all of it. Directions
+    that are small beside the noise count as scatter.
     """
     relative = _USUAL_NOISE if measurement.relative_std is None else measurement.relative_std
     noise = measurement.noise_sd(relative) / measurement.frequencies
@@ -265,9 +264,9 @@ def _common(errors: Array, measurement: Measurement) -> tuple[CommonErrors, Arra
 
 
 def common_starts(specimen: Specimen, conditional: ConditionalPosterior) -> Array:
-    """Starts of every optimisation, (2, n): the reference constants with little noise, the middle with much.
+    """Starts (2, n) of every optimisation: the reference constants with little noise, the middle with much.
 
-    Raises ``ValueError`` if neither meets the constraints (9).
+    Raises ``ValueError`` if neither satisfies the constraints (9).
     """
     p, template = conditional.parameters, conditional.template
     n = conditional.n_constants
@@ -288,12 +287,12 @@ def common_starts(specimen: Specimen, conditional: ConditionalPosterior) -> Arra
 
 @dataclass(frozen=True, slots=True)
 class MixtureSettings:
-    """How the mixture is sampled.
+    """Settings of the sampling of the mixture.
 
-    least : probability of a class from which on it is sampled by emcee; the most probable one always is.
-    ensembles, swarm : of each class.
-    rounds : of the importance sampling that each is compared with, and whose proposal its chains jump to.
-    draws : of the whole mixture.
+    least : least probability of a class that is sampled by emcee; the most probable one always is.
+    ensembles, swarm : for each class.
+    rounds : of the importance sampling with which each is compared, and whose proposal its chains jump to.
+    draws : number from the whole mixture.
     """
 
     least: float = 0.1
@@ -309,7 +308,7 @@ class MixtureSettings:
 
 MIXTURE_SETTINGS = MixtureSettings()
 EMCEE, IMPORTANCE = "emcee", "importance sampling"
-"""By what the draws of a class were sampled."""
+"""Methods by which the draws of a class are sampled."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -327,8 +326,8 @@ class SampledComponent:
     """The conditional posterior of one class of sequences, by emcee and by importance sampling.
 
     index : of the class in ``StackingPosterior.top``.
-    draws : (d, n) of the chains, about one an autocorrelation time.
-    chains, importance : moments by either.
+    draws : (d, n) of the chains, about one per autocorrelation time.
+    chains, importance : moments by either method.
     log_evidence, log_evidence_error : by importance sampling, nats.
     effective, k_hat : effective number of its draws, and shape of its largest weights.
     """
@@ -357,14 +356,14 @@ class StackingMixture:
     """Equally probable draws of stacking sequence and constants.
 
     components : the classes sampled by emcee.
-    given : a sequence that was asked for, sampled too; its index is -1 where it is not listed.
+    given : a requested sequence, sampled too; its index is -1 where it is not listed.
     parameters : (m, n) SI.
     angles_deg : (m, k).
-    origin : (m,) index of the draw's class in ``StackingPosterior.top``, -1 for one that is not listed.
+    origin : (m,) index of the draw's class in ``StackingPosterior.top``, -1 for an unlisted one.
     by_emcee : (m,) bool.
     emcee_fraction : probability of the classes sampled by emcee.
-    listed_fraction : probability of the other classes that are listed.
-    drawn_fraction : probability of all the rest, which sequences drawn from it represent.
+    listed_fraction : probability of the other listed classes.
+    drawn_fraction : probability of all the rest, represented by sequences drawn from it.
     """
 
     components: tuple[SampledComponent, ...]
@@ -380,21 +379,21 @@ class StackingMixture:
 
     @property
     def converged(self) -> bool:
-        """Whether all chains are."""
+        """Whether all chains have converged."""
         return all(c.diagnostics.converged for c in self.sampled)
 
     @property
     def sampled(self) -> tuple[SampledComponent, ...]:
-        """All components sampled by emcee, the sequence asked for included."""
+        """All components sampled by emcee, the requested sequence included."""
         if self.given is None or any(c.index == self.given.index for c in self.components):
             return self.components
         return (*self.components, self.given)
 
 
 def n_sampled_classes(answer: StackingPosterior, settings: MixtureSettings = MIXTURE_SETTINGS) -> int:
-    """Number of the first classes that emcee samples, up to the last one with enough probability.
+    """Number of leading classes that emcee samples, up to the last one with enough probability.
 
-    They are in the order of the evidence of one sequence: a class of many may follow classes of few.
+    Classes are in the order of the evidence of one sequence: a class of many may follow classes of few.
     """
     enough = answer.probability * answer.multiplicity >= settings.least
     return int(max(np.flatnonzero(enough), default=0)) + 1
@@ -415,7 +414,7 @@ def sample_mixture(
     p(x, s | f) = p(s | f) p(x | s, f).
 
     given : a sequence to be sampled whatever its probability.
-    progress : is called with the classes that are sampled, and with all.
+    progress : called with the numbers of sampled and of all classes.
 
     The same seed gives the same draws whatever the executor.
     """
@@ -458,18 +457,18 @@ Item = tuple[int, Array, ConditionalFits, list[int]]
 
 
 def _sampled(shared: tuple[ConditionalPosterior, MixtureSettings], item: Item) -> SampledComponent:
-    """The conditional posterior of one class; item : its index, angles, fits and key of the seed."""
+    """Sampled conditional posterior of one class; item : its index, angles, fits and key of the seed."""
     conditional, settings = shared
     index, angles, fits, key = item
     posterior = of_sequence(conditional, angles, conditional.least_noise(fits.x)).at(angles[None])
     seed = int(np.random.SeedSequence(key).generate_state(1)[0])
     rng = np.random.default_rng([seed, 1])
     bests, _, _ = swarm_on_posterior(posterior, seed, settings.swarm)
-    # the swarm searches everywhere; the optima of the evidence are not to be missed either
+    # the swarm searches everywhere; the optima of the evidence are added so that none is missed
     optima = conditional.axes.to_x(fits.optima[0])
     starts = np.concatenate((optima[fits.weight[0] > _MIN_START_FRACTION][:, : bests.shape[1]], bests))
     n_walkers = settings.ensembles.ensembles * settings.ensembles.walkers
-    # the optima first, then the particles from the best on: their misfits only order them
+    # the optima first, then the particles, the best first: their misfits only order them
     walkers = start_positions(posterior, starts, np.arange(len(starts), dtype=float), n_walkers, rng)
     start = walkers.reshape(settings.ensembles.ensembles, settings.ensembles.walkers, -1)
     proposal, found, _ = sampled_about(posterior, optima, settings.rounds)
@@ -495,7 +494,7 @@ def _moments_of_chains(chains: EnsembleResult) -> Moments:
 
 
 def _moments_of_weighted(x: Array, weight: Array) -> Moments:
-    """Moments of weighted draws (p, n), (p,)."""
+    """Moments of draws (p, n) with weights (p,)."""
     mean = weight @ x
     deviation = x - mean
     sd = np.sqrt(weight @ deviation**2)
@@ -519,7 +518,7 @@ def _combined(
     drawn = answer.draw_weight[rest]
     weight = np.concatenate((mass, drawn_fraction * drawn / max(float(drawn.sum()), 1e-300)))
     weight = weight / weight.sum()
-    # systematic resampling: each component as often as its weight says, up to one
+    # systematic resampling: each component in proportion to its weight, to within one
     at = (np.arange(size) + rng.uniform()) / size
     chosen = np.minimum(np.searchsorted(np.cumsum(weight), at), len(weight) - 1)
     parameters, sequences = [], []
@@ -533,7 +532,7 @@ def _combined(
             same_class = members(answer.drawn.sequences[rest[i - listed]], answer.symmetries)
         parameters.append(draws[_spread(len(draws), number, rng)])
         sequences.append(same_class[rng.integers(len(same_class), size=number)])
-    # in no order, so that any part of the draws is a sample of the whole
+    # shuffled, so that any part of the draws is a sample of the whole
     order = rng.permutation(size)
     return StackingMixture(
         components=components,
@@ -550,7 +549,7 @@ def _combined(
 
 
 def _spread(pool: int, number: int, rng: np.random.Generator) -> Array:
-    """Rows of a pool of draws, each used once before any is used again, (number,)."""
+    """Rows (number,) of a pool of draws, each used once before any is used again."""
     rounds = [rng.permutation(pool) for _ in range(-(-number // pool))]
     return np.concatenate(rounds)[:number]
 
@@ -558,9 +557,9 @@ def _spread(pool: int, number: int, rng: np.random.Generator) -> Array:
 def inference_data(answer: StackingPosterior, mixture: StackingMixture, command: str, seed: int) -> Any:
     """The mixture for arviz, an ``xarray.DataTree``.
 
-    Groups: posterior, one chain of equally probable draws in no order: the constants by the names and
+    Groups: posterior, one chain of equally probable draws in random order: the constants by the names and
     units of the plate file, angle_deg over `ply` (the unknown angles from the bottom), component, the draw's
-    class in the list (-1: none of it); sample_stats, what each draw was sampled by; constant_data, the list
+    class in the list (-1: unlisted); sample_stats, the method that sampled each draw; constant_data, the list
     itself over `sequence` with probabilities, log evidences and their errors, and the marginals of the
     angles over `ply` and `angle`; observed_data, the measured frequencies over `mode`. Attributes: command,
     versions, plate, seed, hash of the problem, size of the credible set.

@@ -1,4 +1,4 @@
-"""Questions to a posterior over stacking sequences: each angle, the fit of the first one, a given one."""
+"""Queries of a posterior over stacking sequences: each angle, the fit of the first one, a given one."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from cpam_bayes.stacking.records import StackingPosterior
 
 Array = NDArray[Any]
 
-# Entropies that differ by less are equal, bits.
+# Entropies that differ by less, bits, are equal.
 _EQUAL_BITS = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class AngleInformation:
-    """How well each unknown angle is determined, and how much it counts in bending.
+    """How well each unknown angle is determined, and its weight in bending.
 
     entropy_bits : (k,) of the angles' marginals.
-    most_bits : of an even marginal.
+    most_bits : entropy of a uniform marginal.
     bending_fraction : (k,) fraction of the laminate's second moment.
     outer_first : (k,) the unknowns in descending order of that.
-    outer_better : whether each angle is determined as well as the next one further in, or better, and the
-    first better than the last; differences below 0.05 bits count as none.
+    outer_better : whether each angle is determined at least as well as the next one further in, and the first
+    better than the last; differences below 0.05 bits count as none.
     """
 
     entropy_bits: Array
@@ -44,12 +44,12 @@ class AngleInformation:
 
 
 def entropies(marginals: Array) -> Array:
-    """Entropy of probabilities (k, n), nats, (k,): -sum p log p."""
+    """Entropy (k,), nats, of probabilities (k, n): -sum p log p."""
     return np.asarray(-np.sum(marginals * np.log(np.where(marginals > 0, marginals, 1.0)), axis=1))
 
 
 def bending_fractions(layup: Layup) -> Array:
-    """Fraction of each unknown angle's plies in the second moment of the thickness, (k,).
+    """Fraction (k,) of each unknown angle's plies in the second moment of the thickness.
 
     A ply from z_i to z_(i+1) has (z_(i+1)^3 - z_i^3) / 3 of h^3 / 12, its weight in D.
     """
@@ -59,7 +59,7 @@ def bending_fractions(layup: Layup) -> Array:
 
 
 def angle_information(layup: Layup, marginals: Array) -> AngleInformation:
-    """Entropies of the angles' marginals (k, n_grid) beside the angles' weight in bending."""
+    """Entropies of the angles' marginals (k, n_grid) and the angles' weight in bending."""
     bits = entropies(marginals) / np.log(2.0)
     fraction = bending_fractions(layup)
     order = np.argsort(-fraction, kind="stable")
@@ -77,18 +77,18 @@ def angle_information(layup: Layup, marginals: Array) -> AngleInformation:
 
 @dataclass(frozen=True, slots=True)
 class BestFit:
-    """The most probable stacking sequence at its best constants beside the measured frequencies.
+    """The most probable stacking sequence at its best constants, compared with the measured frequencies.
 
-    constants : SI, and what else varies, by name.
+    constants : SI, by name, with the other parameters.
     mode : (n,) of each frequency, -1 where it is paired with none.
     predicted : (n,) Hz; nan where a frequency of a list that may lack modes is paired with none, by the
     most probable pairing.
     residual : (n,) predicted / measured - 1.
     missed : (k,) Hz, modes in the range of the list that it lacks.
-    p_value : probability that the noise stated alone leaves squared residuals with such a sum or a larger
-    one, chi-square with as many degrees of freedom as frequencies are paired beyond the number of constants,
-    one at least; ``None`` where the noise is inferred or no frequency is paired.
-    noise : relative, the root mean square of what is stated, or the posterior mean where it is inferred.
+    p_value : probability of a sum of squared residuals at least as large by the stated noise alone,
+    chi-square with the number of paired frequencies minus that of constants, at least one, as degrees of
+    freedom; ``None`` where the noise is inferred or no frequency is paired.
+    noise : relative, root mean square of the stated noise, or posterior mean where it is inferred.
     bounds : constants at a bound, and which, "lower" or "upper".
     """
 
@@ -103,7 +103,7 @@ class BestFit:
 
 
 def best_fit(answer: StackingPosterior) -> BestFit:
-    """The fit of the first stacking sequence listed."""
+    """Fit of the first listed stacking sequence."""
     template, first = answer.conditional.template, answer.components[:1]
     x, n = first.fits.x, answer.conditional.n_constants
     p = template.parameters
@@ -131,7 +131,7 @@ def best_fit(answer: StackingPosterior) -> BestFit:
 
 @dataclass(frozen=True, slots=True)
 class GivenLayup:
-    """A stacking sequence beside the posterior over all of them.
+    """A given stacking sequence in the posterior over all of them.
 
     angles_deg : (k,).
     index : of its class in ``StackingPosterior.top``, ``None`` where it is not listed.
@@ -151,15 +151,15 @@ class GivenLayup:
 
     @property
     def rank(self) -> int | None:
-        """Rank of its class, 1 for the most probable; ``None`` beyond the list."""
+        """Rank of its class, 1 for the most probable; ``None`` if unlisted."""
         return None if self.index is None else self.index + 1
 
 
 @single_blas_thread
 def given_layup(answer: StackingPosterior, angles_deg: Array, log2_points: int = 11) -> GivenLayup:
-    """The evidence and probability of a stacking sequence (k,) on the grid.
+    """Evidence and probability of a stacking sequence (k,) on the grid.
 
-    p = Z / (sum of all evidences). One that is not listed is optimised from the optima of those that are.
+    p = Z / (sum of all evidences). An unlisted one is optimised from the optima of the listed ones.
 
     Raises ``ValueError`` for an angle that is not on the grid.
     """

@@ -1,10 +1,10 @@
 """The problem of unknown ply angles and the posterior over stacking sequences that solves it.
 
-Different sequences may share their bending stiffness, and so the frequencies of a thin plate, though no
-motion of the plate maps one on the other: where the plies of two sets weigh the same, exchanging what lies in
-them leaves all four bending lamination parameters as they are: [0/90/90/45/0/30]_s and [90/0/0/45/90/30]_s,
-since 6^3 - 5^3 + 2^3 - 1^3 = 5^3 - 3^3. Transverse shear still tells them apart, the less the thinner the
-plate and the noisier the list; where it does not, they are merged.
+Different sequences may have the same bending stiffness, and so the same frequencies of a thin plate, though
+no motion of the plate maps one onto the other: where two sets of plies have the same weight, exchanging
+their angles leaves all four bending lamination parameters unchanged: [0/90/90/45/0/30]_s and
+[90/0/0/45/90/30]_s, since 6^3 - 5^3 + 2^3 - 1^3 = 5^3 - 3^3. Transverse shear still distinguishes them, the
+less the thinner the plate and the noisier the list; where it does not, they are merged.
 """
 
 from __future__ import annotations
@@ -24,38 +24,38 @@ from cpam_bayes.stacking.training import TrainingSettings
 
 Array = NDArray[Any]
 
-# Probability that a credible set holds.
+# Probability of a credible set.
 CREDIBLE = 0.95
-# A draw this much better than every sequence listed, nats, was overlooked: less is noise of its evidence.
+# Nats above every listed sequence from which a draw counts as overlooked: less is noise of its evidence.
 OVERLOOKED = 0.3
 # Sums of cosines that differ by less are equal.
 _EQUAL: Final = 1e-11
-# Log Bayes factors, nats, that are smaller say nothing: evidences are known to about as much.
+# Log Bayes factors, nats, below which sequences are indistinguishable: about the accuracy of evidences.
 _INDISTINGUISHABLE_NATS: Final = 0.1
-# Of every so many draws of the constants one is compared.
+# One in so many draws of the constants is compared.
 _BETWEEN: Final = 4
-# A direction in which sums over the outer and the inner plies are sorted; any that is no special one.
+# Direction along which sums over the outer and the inner plies are sorted; any generic one.
 _DIRECTION: Final = np.array([1.0, np.sqrt(2.0), np.sqrt(3.0), np.sqrt(5.0)])
 
 
 @dataclass(frozen=True, slots=True)
 class RoundSettings:
-    """When the rounds of training, listing and checking end, where there are many sequences.
+    """Stopping rules of the rounds of training, listing and checking, where there are many sequences.
 
-    least_rounds, most_rounds : of a result that is settled, and of one that is astray.
+    least_rounds, most_rounds : of a settled result, and of one that is astray.
     settled_nats, settled_errors : root mean square error on the draws that settles it, nats, or so many times
         that at the end of the training.
-    astray_nats : that error from which on it is astray.
+    astray_nats : error from which the result is astray.
     added_from_list : listed sequences that join the training set in a further round.
     unlisted : fraction of the mass that may be known from the surrogate alone where the list can be long
         enough.
-    worth_listing : fraction of the mass that the longest list must hold; where it does not, it is short.
-    fine_from : that fraction from which on the surrogate is trained to a finer error.
-    margin : fraction of what may be left out that the lower bound is chosen for, as a pilot enumeration is
-        rough.
+    worth_listing : fraction of the mass that the longest list must hold; otherwise the list is short.
+    fine_from : unlisted fraction from which the surrogate is trained to a finer error.
+    margin : fraction of the allowed left-out mass for which the lower bound is chosen, as a pilot enumeration
+        is rough.
     many : sequences above which a short list is tried first.
-    short : sequences fitted of a short list.
-    trial_listed, trial_draws : most probable sequences, and those drawn in that trial.
+    short : sequences fitted in a short list.
+    trial_listed, trial_draws : most probable sequences, and drawn ones, in that trial.
     """
 
     least_rounds: int = 2
@@ -76,17 +76,17 @@ class RoundSettings:
 
 @dataclass(frozen=True, slots=True)
 class StackingSettings:
-    """How the posterior over stacking sequences is computed.
+    """Settings of the posterior over stacking sequences.
 
-    exhaustive : up to so many classes of sequences every evidence is computed.
+    exhaustive : number of classes of sequences up to which every evidence is computed.
     training, rounds : of the surrogate where there are more.
     halvings : of the cells of the piecewise-linear surrogate.
     unaccounted : probability that may be left out.
-    max_fitted : sequences whose constants are fitted one by one, at most.
+    max_fitted : most sequences whose constants are fitted one by one.
     sampled_fraction : fraction of the probability of these whose evidence is then sampled.
-    max_sampled : classes sampled, at most.
+    max_sampled : most classes sampled.
     log2_sampled : log2 of the points of that importance sampling.
-    listed : most probable classes, whose evidence is refined.
+    listed : number of most probable classes, whose evidence is refined.
     draws : sequences drawn to check and to correct the rest.
     log2_points : log2 of the points of the importance sampling of refined and drawn sequences.
     """
@@ -105,7 +105,7 @@ class StackingSettings:
     log2_points: int = 9
 
     def enumerates(self, n_sequences: int) -> bool:
-        """Whether so many sequences are few enough for every evidence to be computed."""
+        """Whether there are few enough sequences for every evidence to be computed."""
         return n_sequences <= 2 * self.exhaustive
 
 
@@ -114,16 +114,16 @@ DEFAULT_SETTINGS = StackingSettings()
 
 @dataclass(frozen=True, slots=True)
 class SurrogateCheck:
-    """Accuracy of the evidence of sequences for which it was not refined, on draws from the posterior.
+    """Accuracy of unrefined evidences of sequences, on draws from the posterior.
 
-    training_size : sequences that the surrogate was trained on.
+    training_size : number of sequences on which the surrogate was trained.
     rms : root mean square error of the log evidence on the draws, nats.
     largest : largest error on those draws that count, nats.
-    overlooked : by how much the best draw is better than every sequence listed, nats.
-    correction : log of the factor on the sum of the surrogate that the draws gave.
+    overlooked : excess of the best draw over every listed sequence, nats.
+    correction : log of the factor on the sum of the surrogate, from the draws.
     effective : fraction of the draws that count.
-    fitted : classes fitted one by one.
-    sampled : classes of these whose evidence was sampled.
+    fitted : number of classes fitted one by one.
+    sampled : number of these whose evidence was sampled.
     """
 
     training_size: int
@@ -140,27 +140,27 @@ class SurrogateCheck:
 class StackingPosterior:
     """The posterior over the stacking sequences of one specimen.
 
-    A class holds sequences that no frequency tells apart; it is known by its first member.
+    A class holds sequences that no frequency distinguishes; it is represented by its first member.
 
-    conditional : posterior of the constants that any sequence has.
-    enumerated : sequences on the grid.
-    classes : distinct ones, symmetric images merged; ``None`` where they were not counted.
+    conditional : posterior of the constants for any sequence.
+    enumerated : number of sequences on the grid.
+    classes : number of distinct ones, symmetric images merged; ``None`` where they were not counted.
     log_evidence_total : log of the mean evidence of all sequences.
     top : (t, k) degrees, the most probable classes in descending order.
-    same_bending : of each, (a, k) grid indices of all other classes with its bending stiffness.
-    alike : those of them that the frequencies do not tell from it, and that belong to it with their images.
+    same_bending : for each, (a, k) grid indices of all other classes with its bending stiffness.
+    alike : those of them that the frequencies do not distinguish; they belong to it with their images.
     multiplicity : (t,) sequences in each class.
     probability : (t,) of each single sequence.
     log_evidence, log_evidence_error : (t,) nats.
     components : conditional posteriors of ``top``.
     marginals : (k, n_grid) probability of every angle, ply by ply.
-    credible_count : sequences in the smallest set that holds 95 %.
+    credible_count : number of sequences in the smallest set with 95 % probability.
     effective_count : exp of the entropy.
     unaccounted : bound of the probability left out.
     drawn : sequences drawn from the posterior, with their conditional posteriors.
     draw_weight : (d,) weight of each draw.
     check : ``None`` where every evidence was computed.
-    basis_error : largest relative error of a frequency by the basis for the posterior, from full solves.
+    basis_error : largest relative frequency error of the posterior's basis, from full solves.
     """
 
     specimen: Specimen
@@ -189,7 +189,7 @@ class StackingPosterior:
     seconds: float
 
     def listing(self, rows: Array) -> StackingPosterior:
-        """The posterior with a list of the classes ``rows`` of this one's only."""
+        """The posterior with only the classes ``rows`` on its list."""
         return replace(
             self,
             top=self.top[rows],
@@ -203,12 +203,12 @@ class StackingPosterior:
         )
 
     def class_members(self, i: int) -> Array:
-        """All sequences of the listed class ``i``, (multiplicity, k) grid indices."""
+        """All sequences of the listed class ``i`` as grid indices (multiplicity, k)."""
         first = np.vstack((self.components.sequences[i], self.alike[i]))
         return np.concatenate([members(s, self.symmetries) for s in first])
 
     def classes_of(self, sequences: Array) -> Array:
-        """Index of the listed class of each sequence of grid indices (m, k), -1 beyond the list, (m,)."""
+        """Index (m,) of the listed class of each sequence of grid indices (m, k), -1 if unlisted."""
         index = np.repeat(np.arange(len(self.top)), [1 + len(others) for others in self.alike])
         first = [np.vstack(pair) for pair in zip(self.components.sequences, self.alike, strict=True)]
         listed = canonical(np.concatenate(first), self.symmetries).representative
@@ -222,8 +222,8 @@ class StackingProblem:
     """The stacking sequences of one specimen: their posteriors, symmetries and grid.
 
     sums : over the plies; ``None`` where the layup is not symmetric or of several kinds of plies.
-    starts : (2, n) parameters that every optimisation starts from.
-    library : (p, n_constants) constants whose best two for a sequence are further starts.
+    starts : (2, n) parameters from which every optimisation starts.
+    library : (p, n_constants) constants of which the best two for a sequence are further starts.
     """
 
     specimen: Specimen
@@ -247,7 +247,7 @@ class StackingProblem:
         return int(len(self.grid_deg) ** self.n_unknown)
 
     def random_members(self, data: Evaluated, rng: np.random.Generator) -> Evaluated:
-        """Sequences replaced by random members of their classes: all are equally probable."""
+        """Sequences replaced by random members of their classes, which are equally probable."""
         classes = [members(sequence, self.symmetries) for sequence in data.sequences]
         drawn = [every[rng.integers(len(every))] for every in classes]
         return replace(data, sequences=np.array(drawn, dtype=data.sequences.dtype))
@@ -256,7 +256,7 @@ class StackingProblem:
 def equal_bending(sums: PlySums, sequences: Array) -> tuple[Array, ...]:
     """All sequences of the grid with the bending lamination parameters of each of (m, k), itself included.
 
-    These are sums over the outer plies and over the inner plies, tabulated for all choices of either.
+    The parameters are sums over outer and inner plies, tabulated for all choices of either.
     """
     k, g = sums.n_unknown, len(sums.grid_deg)
     inner = k - k // 2
@@ -279,7 +279,7 @@ def equal_bending(sums: PlySums, sequences: Array) -> tuple[Array, ...]:
 def merge_indistinguishable(
     answer: StackingPosterior, problem: StackingProblem, sums: PlySums
 ) -> StackingPosterior:
-    """The posterior with classes of equal bending stiffness noted, and merged where nothing else counts.
+    """The posterior with classes of equal bending stiffness noted, and merged where indistinguishable.
 
     They are merged if the log of their Bayes factor E[p(f | x, s') / p(f | x, s)], over the posterior of the
     constants x of the first, is within ``_INDISTINGUISHABLE_NATS`` of zero.
@@ -317,7 +317,7 @@ def merge_indistinguishable(
 
 
 def _log_bayes_factors(answer: StackingPosterior, i: int, others: Array) -> Array:
-    """Log Bayes factors of others (m, k) against the listed class ``i`` from draws of its constants, (m,)."""
+    """Log Bayes factors (m,) of others (m, k) against the listed class ``i``, from draws of its constants."""
     x = answer.components.conditionals.draws[i, ::_BETWEEN]
     angles = answer.grid_deg[np.vstack((answer.components.sequences[i], others))]
     rows = np.repeat(np.arange(len(angles)), len(x))

@@ -1,13 +1,12 @@
-"""How the posterior over stacking sequences is found: exhaustively, or by a surrogate in rounds.
+"""Computation of the posterior over stacking sequences: exhaustive, or by a surrogate in rounds.
 
-Few sequences are all looked at. Most are given up on a small basis as soon as they promise to stay far below
-the best; the others are screened, and those near the best computed on a basis that is made for them, from
-their optimum and from those of their neighbours, as the first optimisation may have met the lesser of two
-optima.
+Few sequences are all evaluated. Most are given up on a small basis as soon as they promise to stay far below
+the best; the others are screened, and those near the best computed on a basis made for them, from their
+optimum and from those of their neighbours, as the first optimisation may have found the lesser of two optima.
 
-For many, the surrogate of the log evidence says which can matter. These are listed and evaluated, the rest is
-summed (`stacking.listing`). The evidence of draws from the result is refined: it says how far the evidence of
-each part is off and corrects the sums of the parts that were not sampled. What proves wrong joins the
+With many, the surrogate of the log evidence shows which can matter. These are listed and evaluated, the rest
+is summed (`stacking.listing`). The evidence of draws from the result is refined: it measures the error of
+each part's evidence and corrects the sums of the unsampled parts. Sequences with large errors join the
 training set, and another round begins.
 """
 
@@ -62,27 +61,27 @@ Array = NDArray[Any]
 
 # log2 of the points of importance sampling in the screening.
 _SCREENING_POINTS = 5
-# Pieces that the prefixes are enumerated in.
+# Pieces in which the prefixes are enumerated.
 _PIECES = 64
-# Depth of the lower bound below the best to begin with, at least and at most, the most that it grows by while
-# too much is left out, and the depth from which on it grows no more, nats.
+# Depth of the lower bound below the best, nats: initially at least and at most, largest growth while too much
+# is left out, and the depth from which it grows no more.
 _LEAST_DEPTH, _DEPTH, _DEEPER, _MAX_DEPTH = 6, 17, 5.0, 35.0
-# Evenly drawn sequences that say how deep it must be.
+# Evenly drawn sequences from which this depth is estimated.
 _EVENLY_DRAWN = 8000
 # Prefixes of the pilot enumeration, which predicts what a lower bound leaves out and how long a list gets.
 _PILOT_PREFIXES = 512
-# Number of sequences up to which the surrogate is evaluated for each, and up to which its piecewise linear
-# form is; of more, some stand for all.
+# Number of sequences up to which the surrogate is evaluated for each, and up to which its piecewise-linear
+# form is; of more, a sample stands for all.
 _MAX_EVALUATED, _MAX_SUMMED = 3_000_000, 100_000_000
-# Times as many sequences as are fitted at most, from which on those of the first bins count as all alike;
-# by the pilot's few prefixes they may seem tens of times too many.
+# Multiple of the most fitted sequences above which those of the first bins count as indistinguishable; from
+# the pilot's few prefixes their number may seem tens of times too large.
 _ALIKE = 50
 
 
 def exhaustive(
     problem: StackingProblem, rng: np.random.Generator, notify: Callable[[str], None]
 ) -> StackingPosterior:
-    """The posterior with the evidence of every sequence in sight of the best computed."""
+    """Posterior with the computed evidence of every sequence in sight of the best."""
     g, k = len(problem.grid_deg), problem.n_unknown
     distinct = classes(all_sequences(g, k), problem.symmetries)
     n = len(distinct.size)
@@ -130,7 +129,7 @@ def exhaustive(
 def _evaluated(
     problem: StackingProblem, sequences: Array, rng: np.random.Generator
 ) -> tuple[Evaluated, ConditionalPosterior]:
-    """The evidence of those of the sequences (m, k) that are in sight of the best, and on which basis."""
+    """Evidence of those of the sequences (m, k) that are in sight of the best, and the basis it is on."""
     settings, grid, executor = problem.settings, problem.grid_deg, problem.executor
     rows, optima = in_sight(
         problem.conditional, grid, sequences, problem.starts, problem.library, rng, executor
@@ -148,7 +147,7 @@ def _evaluated(
 
 
 def _starts_near(grid_deg: Array, sequences: Array, optima: Array) -> Array:
-    """Two starts of sequences (m, k), their optima (m, n) and an unlike one of a neighbour, (m, 2, n)."""
+    """Two starts (m, 2, n) of sequences (m, k): their optima (m, n) and a different one of a neighbour."""
     features = angle_functions(grid_deg[sequences])
     n = features.shape[1]
     return neighbours(features, optima, np.ones(n), np.ones((1, n))).starts(features, optima)
@@ -161,7 +160,7 @@ def by_surrogate(
     notify: Callable[[str], None],
     progress: Callable[[int, int], None],
 ) -> StackingPosterior:
-    """The posterior by a surrogate: all sequences enumerated, those that can matter computed."""
+    """Posterior by a surrogate: all sequences enumerated, those that can matter computed."""
     posterior: StackingPosterior | None = None
     try:
         for posterior in _rounds(problem, sums, rng, notify, progress):  # noqa: B007
@@ -229,8 +228,8 @@ def noisier_seeds(
 ) -> Array | None:
     """The best sequences (m, k) for the same frequencies with more noise; ``None`` where noise is not small.
 
-    No sequence drawn evenly is next to the posterior of a list with very little noise: of lists of C1 with
-    0.07 % the training met the true sequence with both seeds that were tried, without these with one.
+    No evenly drawn sequence is near the posterior of a list with very little noise: for lists of C1 with
+    0.07 % the training found the true sequence with both random seeds tried, and without these with one.
     """
     noisier = _with_more_noise(problem)
     if noisier is None:
@@ -245,7 +244,7 @@ def noisier_seeds(
 
 
 def _with_more_noise(problem: StackingProblem) -> StackingProblem | None:
-    """The problem with more noise, where the list states so little that evenly drawn sequences do not do."""
+    """The problem with more noise, where the list states so little that evenly drawn sequences fail."""
     conditional = problem.conditional
     middle = 0.5 * (conditional.parameters.lower + conditional.parameters.upper)
     model = conditional.template.noise_model
@@ -281,7 +280,7 @@ def _trial(problem: StackingProblem) -> StackingProblem:
 
 @dataclass(frozen=True, slots=True)
 class PilotEnumeration:
-    """All sequences with the surrogate's log evidence, and the sums over some, which predict a list's length.
+    """The surrogate's log evidence of all sequences, and sums over some, which predict a list's length.
 
     sums : over a ``fraction`` of the sequences.
     """
@@ -291,19 +290,19 @@ class PilotEnumeration:
     fraction: float
 
     def listing(self, problem: StackingProblem) -> Enumeration:
-        """The enumeration with the threshold of what a problem's settings list."""
+        """The enumeration with the listing threshold for a problem's settings."""
         threshold = self.enumeration.reference + BINS_BEGIN - BIN * self._listed_bins(problem)
         return replace(self.enumeration, threshold=threshold)
 
     def unlisted(self, problem: StackingProblem) -> float:
-        """Fraction of the mass, by the surrogate, of sequences that a problem's settings do not list."""
+        """Fraction of the mass, by the surrogate, that is unlisted with a problem's settings."""
         n = self._listed_bins(problem)
         return float(self.sums.weight[n:].sum() / self.sums.weight.sum())
 
     def _listed_bins(self, problem: StackingProblem) -> int:
         """Number of bins of the log evidence that are listed: nearly all the mass, not too many sequences.
 
-        Of bins that each hold many, as where the frequencies tell little, as many as hold the first ones.
+        Where bins hold many sequences each, as the frequencies tell little, only enough for the first ones.
         Raises ``ValueError`` where these are too many as well.
         """
         settings, rules = problem.settings, problem.settings.rounds
@@ -325,7 +324,7 @@ class PilotEnumeration:
 
 
 def training_problem(problem: StackingProblem, sums: PlySums) -> TrainingProblem:
-    """The training of the surrogate of a problem."""
+    """Training problem of the surrogate of a problem."""
     return TrainingProblem(
         conditional=problem.conditional,
         sums=sums,
@@ -343,7 +342,7 @@ def training_problem(problem: StackingProblem, sums: PlySums) -> TrainingProblem
 def _joining(
     parts: tuple[DrawnPart | None, ...], listed: ListedClasses, n_listed: int, rng: np.random.Generator
 ) -> Evaluated:
-    """Additions to the training set where the surrogate is wrong: draws from it, and some of the best."""
+    """Additions to the training set where the surrogate is wrong: its draws, and some of the best."""
     some = rng.permutation(len(listed.evaluated.sequences))[:n_listed]
     data = listed.evaluated[np.sort(some)]
     for part in parts[1:]:
@@ -354,7 +353,7 @@ def _joining(
 
 
 def _acts_on_angles(problem: StackingProblem, symmetry: Symmetry) -> bool:
-    """Whether a symmetry changes every angle in the same way and leaves the plies in their places."""
+    """Whether a symmetry changes all angles in the same way and leaves the plies in their places."""
     return symmetry.everywhere and np.array_equal(symmetry.source, np.arange(problem.n_unknown))
 
 
@@ -377,7 +376,7 @@ def _pilot(
     """The surrogate's log evidence of each sequence.
 
     Up to a few million sequences it is evaluated for all. For more it is piecewise linear, with a lower bound
-    so low that what it leaves out does not count: at most the fraction ``margin`` of what may be left out.
+    so low that at most the fraction ``margin`` of the allowed mass is left out.
     """
     settings, surrogate = problem.settings, trained.surrogate
     negation, executor = _negation(problem), problem.executor
@@ -416,7 +415,7 @@ def _pilot(
 def _first_depth(
     sums: PlySums, surrogate: Surrogate, allowed: float, executor: Executor | None, rng: np.random.Generator
 ) -> float:
-    """How far below the best the rest holds no more than is allowed, by evenly drawn sequences, nats."""
+    """Depth, nats, below which sequences hold no more than the allowed mass, from evenly drawn ones."""
     drawn = rng.integers(len(sums.grid_deg), size=(_EVENLY_DRAWN, sums.n_unknown))
     below = surrogate.top - surrogate_values(surrogate, executor, sums.features(drawn))
     depth = np.arange(_LEAST_DEPTH, _DEPTH)
@@ -425,7 +424,7 @@ def _first_depth(
 
 
 def _every_value(problem: StackingProblem, sums: PlySums, trained: TrainedSurrogate) -> Array:
-    """The surrogate's log evidence of every sequence, (choices of the first plies, choices of the others)."""
+    """The surrogate's log evidence of every sequence, by choices of the first plies and of the others."""
     g, k = len(problem.grid_deg), problem.n_unknown
     distinct = classes(all_sequences(g, k), problem.symmetries)
     features = sums.features(distinct.representative)
@@ -439,7 +438,7 @@ def _enumerated(
     progress: Callable[[int, int], None] = lambda done, total: None,
     prefixes: Array | None = None,
 ) -> PartialSums:
-    """The sums over all sequences, or over those of some prefixes, and the list of the best."""
+    """Sums over all sequences, or over those of some prefixes, and the list of the best."""
     visited = prefixes_to_visit(enumeration) if prefixes is None else prefixes
     items = [part for part in np.array_split(visited, _PIECES) if len(part)]
     count = counted(progress, len(items))

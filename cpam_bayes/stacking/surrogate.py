@@ -2,7 +2,7 @@
 
 Gaussian processes give the scores whose squares make up the evidence, with derivatives. Their tangents on
 cells of the bending lamination parameters are the piecewise-linear surrogate, fast enough to enumerate
-billions of sequences with.
+billions of sequences.
 """
 
 from __future__ import annotations
@@ -24,37 +24,37 @@ from cpam_bayes.stacking.symmetry import PlySums
 
 Array = NDArray[Any]
 
-# Points that length scales are estimated from: more change them little.
+# Points from which length scales are estimated: more change them little.
 _SCALES_FROM = 400
 # Bounds of the length scales in standard deviations of the points, and of the nugget's variance; its start.
 _LENGTHS, _NUGGETS, _NUGGET = (0.2, 200.0), (1e-8, 0.3), 1e-4
-# Growth of the number of points from which on length scales are estimated again.
+# Growth of the number of points after which length scales are estimated again.
 _GROWTH = 1.25
-# Points predicted at a time: their kernel stays in the processor's cache.
+# Points predicted at a time: their kernel fits in the processor's cache.
 _ROWS = 128
 # (m, 4 + n_q) sums -> scores and rest (m, n_z + 1) with their gradients (m, n_z + 1, 4 + n_q).
 Tangent = Callable[[Array], tuple[Array, Array]]
 # Cells along an axis, from -1 to 1, before any is halved.
 _FIRST = 12
-# Cells that stay farther below the top than this, nats, are halved once only.
+# Cells that stay farther below the top than this, nats, are halved only once.
 _REFINED_DEPTH_NATS = 6.0
-# Cells that a worker takes at a time, and batches that are gathered: what comes in many small pieces is not
-# given back to the system.
+# Cells per task of a worker, and batches that are gathered: memory in many small pieces is not returned to
+# the system.
 _BATCH, _GATHERED = 8192, 64
-# Factors on the half-width and on the slack of a cell that may be halved: its tangent says less of it.
+# Factors on the half-width and on the slack of a cell that may be halved: its tangent is less accurate.
 _COARSE_WIDTH, _COARSE_SLACK = 1.5, 3.0
-# Below the best by more than this, nats, a log evidence counts as this far below.
+# Depth below the best, nats, to which a lower log evidence is raised.
 _MAX_DEPTH_NATS = 45.0
-# Root mean square of the relative residuals of fits that are left out: they say nothing of the top.
+# Root mean square of the relative residuals above which fits are left out: they do not inform the top.
 _MAX_RMS_RESIDUAL = 0.2
-# Root mean square of the scores from which on the nugget grows: such sequences need not be met well.
+# Root mean square of the scores above which the nugget grows: such sequences need no close fit.
 _POOR_RMS_SCORE = 10.0
-# Fraction of the sequences near the top whose residuals are less than the unit where the noise is inferred.
+# Quantile of the residuals of sequences near the top that is the unit where the noise is inferred.
 _UNIT_QUANTILE = 0.1
 # Least unit of relative residuals: below it a list without noise is as good as exact.
 _MIN_UNIT = 1e-5
 # Least length scales, in standard deviations, of the lamination parameters and of the further sums, whose
-# whole range the cells of a piecewise-linear surrogate span.
+# whole range is spanned by every cell of a piecewise-linear surrogate.
 _MIN_LENGTHS = (0.2, 5.0)
 
 
@@ -72,8 +72,8 @@ class GaussianProcess:
     images : (n_images, d) signs, the first row all ones.
     factor : (N, N) lower Cholesky factor of the points' covariance.
     amplitude : (p,) prior standard deviations of the functions.
-    nugget : variance of what is not smooth, relative to that.
-    training_size : points that the length scales were estimated from.
+    nugget : variance of the part that is not smooth, relative to that.
+    training_size : number of points from which the length scales were estimated.
     """
 
     points: Array
@@ -87,7 +87,7 @@ class GaussianProcess:
     training_size: int
 
     def values(self, x: Array) -> Array:
-        """The functions at points (m, d), (m, p)."""
+        """Functions (m, p) at points (m, d)."""
         value = np.empty((len(x), len(self.mean)))
         for i in range(0, len(x), _ROWS):
             at = x[i : i + _ROWS] / self.lengths
@@ -95,7 +95,7 @@ class GaussianProcess:
         return value + self.mean
 
     def error(self, x: Array) -> Array:
-        """Standard deviations of the functions at points (m, d), given the values, (m, p)."""
+        """Posterior standard deviations (m, p) of the functions at points (m, d)."""
         at = x / self.lengths
         prior = sum(np.exp(-0.5 * np.sum((at * s - at) ** 2, axis=1)) for s in self.images)
         covariance = np.sum([_kernel(at * s, self.points) for s in self.images], axis=0)
@@ -104,7 +104,7 @@ class GaussianProcess:
         return np.asarray(np.sqrt(variance)[:, None] * self.amplitude)
 
     def expansion(self, x: Array) -> tuple[Array, Array]:
-        """The functions and their gradients at points (m, d), (m, p) and (m, p, d)."""
+        """Functions (m, p) and their gradients (m, p, d) at points (m, d)."""
         p, d = self.coefficients.shape[1], x.shape[1]
         weighted = (self.coefficients[:, :, None] * self.points[:, None, :]).reshape(len(self.points), -1)
         both = np.column_stack((self.coefficients, weighted))
@@ -129,15 +129,15 @@ def fit_gaussian_process(
     min_lengths: Array | float = _LENGTHS[0],
     nugget_factor: Array | None = None,
 ) -> GaussianProcess:
-    """The process through values (N, p) at points (N, d), length scales by the largest marginal likelihood.
+    """Gaussian process through values (N, p) at points (N, d), length scales by maximum marginal likelihood.
 
     One set of length scales, one per dimension, and one nugget serve all outputs, each in units of its
     standard deviation (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, chapters 2, 5).
 
-    images : (n_images, d) changes of sign that leave the functions as they are, the identity first.
+    images : (n_images, d) changes of sign that leave the functions unchanged, the identity first.
     like : a process through fewer points, whose length scales are a start.
     min_lengths : (d,) lower bounds of the length scales in standard deviations of the points.
-    nugget_factor : (N,) factors on the nugget, 1 where a value is to be met.
+    nugget_factor : (N,) factors on the nugget, 1 where a value is to be fitted closely.
     """
     n, d = points.shape
     factors = np.ones(n) if nugget_factor is None else nugget_factor
@@ -163,7 +163,7 @@ def fit_gaussian_process(
 
 
 def _scale_points(nugget_factor: Array, rng: np.random.Generator) -> Array:
-    """Points that length scales are estimated from: any, but half of them with the least nuggets."""
+    """Indices of the points for the length scales: random, but half of them those with the least nuggets."""
     some = rng.permutation(len(nugget_factor))
     surest = some[np.argsort(nugget_factor[some], kind="stable")[: _SCALES_FROM // 2]]
     return np.concatenate((surest, some[~np.isin(some, surest)]))[:_SCALES_FROM]
@@ -178,7 +178,7 @@ def _scales(
     unit: Array,
     min_lengths: Array | float,
 ) -> tuple[Array, float]:
-    """Length scales (d,) and nugget with the largest marginal likelihood, points (N, d) being in ``unit``."""
+    """Length scales (d,) and nugget by maximum marginal likelihood, points (N, d) being in ``unit``."""
     d = points.shape[1]
     start = np.full(d, 2.0) if like is None else like.lengths / unit
     shortest = np.broadcast_to(min_lengths, d)
@@ -198,7 +198,7 @@ def _scales(
 
 
 def _kernel(a: Array, b: Array) -> Array:
-    """exp(-|a - b|^2 / 2) of rows (m, d) and (n, d), (m, n): the exponent is one product."""
+    """Kernel exp(-|a - b|^2 / 2) (m, n) of rows (m, d) and (n, d), the exponent by one matrix product."""
     left = np.column_stack((a, -0.5 * np.sum(a**2, axis=1), np.ones(len(a))))
     right = np.column_stack((b, np.ones(len(b)), -0.5 * np.sum(b**2, axis=1)))
     exponent = left @ right.T
@@ -250,9 +250,9 @@ class PiecewiseLinearSurrogate:
     first : (4,) number along each axis of the first cell of a box about those that were kept; the outermost
     cells of the box are empty.
     leaf : (n_1, n_2, n_3, n_4) int32, row of ``tangent`` of each cell of the box, -1 where it was left out.
-    tangent : (L, n_z + 1, 1 + 4 + n_q), scores, and last the rest, continued to sums of zero, and their
+    tangent : (L, n_z + 1, 1 + 4 + n_q), scores, and last the rest, extrapolated to sums of zero, and their
     gradients.
-    lower_bound : log evidence that cells left out do not exceed.
+    lower_bound : log evidence that left-out cells do not exceed.
     freedom : of ``log_evidence``.
     """
 
@@ -264,8 +264,8 @@ class PiecewiseLinearSurrogate:
     freedom: float
 
     def lookup(self, v: Array) -> Array:
-        """Rows of ``tangent`` of points (m, 4), -1 where the cell was left out, (m,)."""
-        # what lies beyond the box counts as in its outermost cells
+        """Rows (m,) of ``tangent`` for points (m, 4), -1 where the cell was left out."""
+        # points beyond the box count as in its outermost cells
         cell = np.clip(np.floor((v + 1.0) / self.width).astype(np.int64) - self.first, 0, self._last)
         return np.asarray(self.leaf[tuple(cell.T)])
 
@@ -274,11 +274,11 @@ class PiecewiseLinearSurrogate:
         return np.array(self.leaf.shape) - 1
 
     def rows(self, v: Array, shift: Array) -> Array:
-        """Rows of ``tangent`` of points v + shift, v (4, m) and shift (4,), in single precision, (m,)."""
+        """Rows (m,) of ``tangent`` for points v + shift, v (4, m) and shift (4,), in single precision."""
         flat = np.zeros(v.shape[1], dtype=np.int64)
         scale = np.float32(1.0 / self.width)
         for i, n in enumerate(self.leaf.shape):
-            # truncated, not floored: that differs before the box only, whose first cells are empty
+            # truncated, not floored: this differs only before the box, whose first cells are empty
             begin = np.float32(shift[i] + 1.0 - self.first[i] * self.width)
             cell = ((v[i] + begin) * scale).astype(np.int32)
             np.clip(cell, 0, n - 1, out=cell)
@@ -287,13 +287,13 @@ class PiecewiseLinearSurrogate:
         return np.asarray(self.leaf.ravel()[flat])
 
     def values(self, rows: Array, sums: Array) -> Array:
-        """Log evidence of points in the cells ``rows`` (m,), a one, v and q in each row of ``sums``."""
+        """Log evidence of points in the cells ``rows`` (m,); each row of ``sums`` is 1, v and q."""
         y = np.matmul(np.take(self.tangent, rows, axis=0), sums[:, :, None])[:, :, 0]
         return log_evidence(y.astype(np.float64), self.freedom)
 
 
 def log_evidence(y: Array, freedom: float) -> Array:
-    """Log evidence of scores z and rest r (m, n_z + 1), (m,).
+    """Log evidence (m,) from scores z and rest r (m, n_z + 1).
 
     r - |z|^2 / 2 where the noise is known; r - n_f / 2 log(1 + |z|^2 / n_f) where the noise of n_f
     frequencies is inferred.
@@ -318,9 +318,9 @@ def piecewise_linear_surrogate(
     """Tangents of a surrogate wherever it may exceed the lower bound, ``depth`` below ``top``.
 
     A cell is left out where no set of plies can lie (the Toeplitz matrix of 1, v1 + i v2, v3 + i v4 is
-    not positive) or where the most that the tangents allow over the cell and over the range of q, and
-    ``slack``, stay below the lower bound. The others are halved ``halvings`` times, but once where the
-    tangents keep them far below the top.
+    not positive) or where the largest value that the tangents allow over the cell and over the range of q,
+    plus ``slack``, stays below the lower bound. The others are halved ``halvings`` times, but only once where
+    the tangents keep them far below the top.
 
     tangent : of the surrogate.
     q_bound : (n_q,) largest magnitude of each further sum.
@@ -365,7 +365,7 @@ def piecewise_linear_surrogate(
 
 @dataclass(frozen=True, slots=True)
 class _Level:
-    """Cells of one width, and the log evidence from which they are kept and halved.
+    """Cells of one width, and the log evidence above which they are kept and halved.
 
     side : of a cell, in finest ones.
     half : (4 + n_q,) largest distance of the sums of a cell from its centre.
@@ -385,7 +385,7 @@ class _Level:
 
 @dataclass(frozen=True, slots=True)
 class _Leaves:
-    """Cells that are kept as they are: ``corner`` (l, 4) and ``side`` count the finest cells."""
+    """Cells that are kept as they are: ``corner`` (l, 4) and ``side`` in finest cells."""
 
     side: int
     corner: Array
@@ -393,7 +393,7 @@ class _Leaves:
 
 
 def _leaves_and_halved(level: _Level, centre: Array) -> tuple[_Leaves, Array]:
-    """Cells about centres (c, 4) that are kept, in single precision, and centres of those to be halved."""
+    """Kept cells among those about centres (c, 4), in single precision, and centres of those to be halved."""
     centre = centre[_realisable(centre, level.width)]
     y, slope = level.tangent(np.column_stack((centre, np.zeros((len(centre), len(level.half) - 4)))))
     reach = np.abs(slope) @ level.half
@@ -408,7 +408,7 @@ def _leaves_and_halved(level: _Level, centre: Array) -> tuple[_Leaves, Array]:
 
 
 def _gathered(leaves: list[_Leaves]) -> _Leaves:
-    """Cells of one width together."""
+    """Cells of one width in one record."""
     corner, tangent = (
         np.concatenate([getattr(each, name) for each in leaves]) for name in ("corner", "tangent")
     )
@@ -416,9 +416,9 @@ def _gathered(leaves: list[_Leaves]) -> _Leaves:
 
 
 def _box(leaves: list[_Leaves], n: int) -> tuple[Array, Array]:
-    """The first cell of a box about all leaves and a rim, and the leaf of each of its cells, -1 for none.
+    """First cell of a box about all leaves and a rim, and the leaf of each of its cells, -1 for none.
 
-    n : the finest cells along an axis.
+    n : number of finest cells along an axis.
     """
     first = np.min([each.corner.min(axis=0, initial=n) for each in leaves], axis=0) - 1
     end = np.max([each.corner.max(axis=0, initial=0) + each.side for each in leaves], axis=0)
@@ -433,7 +433,7 @@ def _box(leaves: list[_Leaves], n: int) -> tuple[Array, Array]:
 
 
 def _taken(leaves: list[_Leaves]) -> Array:
-    """Tangents of all leaves, which are taken off the list: nothing is in memory twice."""
+    """Tangents of all leaves, which are removed from the list so that nothing is in memory twice."""
     n = sum(len(each.tangent) for each in leaves)
     tangent = np.empty((n, *leaves[0].tangent.shape[1:]), dtype=np.float32)
     while leaves:
@@ -444,17 +444,17 @@ def _taken(leaves: list[_Leaves]) -> Array:
 
 
 def _mesh(axis: Array) -> Array:
-    """All points with four coordinates from an axis (n,), (n^4, 4)."""
+    """All points (n^4, 4) with four coordinates from an axis (n,)."""
     return np.stack(np.meshgrid(axis, axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 4)
 
 
 def _realisable(v: Array, width: float) -> Array:
-    """True where a cell about v may hold sums of unit vectors: its Toeplitz matrix is nearly positive."""
+    """Mask of cells about v that may hold sums of unit vectors: the Toeplitz matrix is nearly positive."""
     a, b = v[:, 0] + 1j * v[:, 1], v[:, 2] + 1j * v[:, 3]
     unit = np.ones(len(v), dtype=complex)
     rows = ((unit, a, b), (a.conj(), unit, a), (b.conj(), a.conj(), unit))
     matrix = np.stack([np.stack(row, -1) for row in rows], -2)
-    # an entry moves by sqrt(2) width / 2 at most, half a diagonal, and a row has two beside its unit
+    # an entry moves by at most sqrt(2) width / 2, half a diagonal, and a row has two beside its unit
     return np.asarray(np.linalg.eigvalsh(matrix)[:, 0] >= -np.sqrt(2.0) * width)
 
 
@@ -464,7 +464,7 @@ class Surrogate:
 
     process : gives the scores of the frequencies, residuals at the best fit in standard deviations of the
     noise, or of a small noise where it is inferred, and last the rest of the log evidence, which varies
-    little (``piecewise_linear.log_evidence``); where not ``scored`` log Z, compressed far below the top.
+    little (``log_evidence``); if not ``scored``, log Z, compressed far below the top.
     scored : whether frequencies are paired with modes, so that they have scores.
     freedom : of ``log_evidence``.
     top : largest log evidence of the training set.
@@ -479,12 +479,12 @@ class Surrogate:
     largest_error: float
 
     def values(self, features: Array) -> Array:
-        """Log evidence at features (m, d), (m,)."""
+        """Log evidence (m,) at features (m, d)."""
         y = self.process.values(features)
         return log_evidence(y, self.freedom) if self.scored else _expanded(y[:, 0], self.top)
 
     def upper_bound(self, features: Array) -> Array:
-        """Log evidence at features (m, d) two standard deviations up, (m,)."""
+        """Log evidence (m,) at features (m, d), raised by two standard deviations."""
         y, sd = self.process.values(features), self.process.error(features)
         if not self.scored:
             return _expanded(y[:, 0] + 2.0 * sd[:, 0], self.top)
@@ -492,7 +492,7 @@ class Surrogate:
         return log_evidence(np.column_stack((z, y[:, -1] + 2.0 * sd[:, -1])), self.freedom)
 
     def tangent(self, features: Array) -> tuple[Array, Array]:
-        """Scores and rest at features (m, d), (m, n_z + 1), and their gradients (m, n_z + 1, d)."""
+        """Scores and rest (m, n_z + 1) at features (m, d), and their gradients (m, n_z + 1, d)."""
         y, slope = self.process.expansion(features)
         if self.scored:
             return y, slope
@@ -500,12 +500,12 @@ class Surrogate:
 
 
 def _compressed(log_evidence: Array, top: float) -> Array:
-    """Values near the top as they are, those far below compressed, smoothly."""
+    """Values near the top unchanged, those far below smoothly compressed."""
     return np.asarray(np.logaddexp(log_evidence, top - _MAX_DEPTH_NATS))
 
 
 def _expanded(y: Array, top: float) -> Array:
-    """The inverse of ``_compressed``."""
+    """Inverse of ``_compressed``."""
     least = top - _MAX_DEPTH_NATS
     above = np.maximum(y - least, 1e-3)
     return np.asarray(least + above + np.log1p(-np.exp(-above)))
@@ -526,7 +526,7 @@ def fit_surrogate(
     largest: float,
     before: Surrogate | None,
 ) -> Surrogate:
-    """The surrogate through evaluated sequences.
+    """Surrogate through evaluated sequences.
 
     images : (n_images, d) changes of sign of the features that change no frequency.
     before : a surrogate through fewer sequences.
@@ -545,7 +545,7 @@ def fit_surrogate(
     z = _scores(conditional, data, high)
     rms_residual = np.sqrt(np.mean(data.fits.residual**2, axis=1))
     kept = rms_residual <= max(_MAX_RMS_RESIDUAL, float(np.median(rms_residual)))
-    # far down few points are sampled: Laplace's evidence is the better one there
+    # far below the top few points are sampled: Laplace's evidence is better there
     log_z = np.where(high, data.log_evidence, data.fits.log_evidence)
     rest = log_z - log_evidence(np.column_stack((z, np.zeros(len(z)))), freedom)
     y = np.column_stack((z, rest))[kept]
@@ -555,10 +555,10 @@ def fit_surrogate(
 
 
 def _scores(conditional: ConditionalPosterior, data: Evaluated, high: Array) -> Array:
-    """Residuals at the best fits in standard deviations of the noise, (m, n_frequencies).
+    """Residuals (m, n_frequencies) at the best fits in standard deviations of the noise.
 
-    Where the noise is inferred it differs from sequence to sequence, and is no smooth function of their
-    features: the residuals of the best of the sequences with a ``high`` evidence are the unit.
+    An inferred noise differs from sequence to sequence and is no smooth function of their features: the
+    residuals of the best of the sequences with a ``high`` evidence are then the unit.
     """
     template, residual = conditional.template, data.fits.residual
     if template.noise_is_inferred:

@@ -1,4 +1,4 @@
-"""Stacking sequences that no frequency can tell apart, because the plate has symmetries; their ply sums.
+"""Stacking sequences that no frequency can distinguish because of the plate's symmetries; their ply sums.
 
 A rigid motion that maps the plate onto itself, edges and known masses included, maps every laminate to
 another one with the same frequencies. In the plane the motions of a rectangle or a square change the
@@ -8,13 +8,13 @@ ply angles in one of three ways,
     a quarter turn              theta -> theta + 90      squares
     a mirror along a diagonal   theta -> 90 - theta      squares
 
-and a half turn does not change them. Turning the plate upside down reverses the order of the plies:
+and a half turn leaves them unchanged. Turning the plate upside down reverses the order of the plies:
 the plate model does not know on which face a mass sits. All products of these are tried.
 
 Sequences are rows of grid indices, (m, n_unknown) integers into ``angle_grid``, for stacks of millions of
 them: read as numbers in the base of the grid's size they are in lexicographic order, and an image under a
 symmetry is a sum of table entries. Plies of known angle take part: [45/?]_s has no mirror image of its own
-form, [45/?/?/-45] has one, upside down. Where a motion keeps the form of a layup for some sequences only, it
+form, [45/?/?/-45] has one, upside down. A motion that keeps the form of a layup for some sequences only
 merges those.
 """
 
@@ -36,9 +36,9 @@ Array = NDArray[Any]
 _EQUAL: Final = 1e-9
 
 _ROWS: Final = 1 << 17  # rows handled together, so that their images stay in the processor's cache
-# Sums with a smaller standard deviation over all sequences, once v is known, do not count.
+# Sums with a smaller standard deviation over all sequences, given v, are neglected.
 _NEGLIGIBLE_SD = 3e-3
-# Sequences drawn evenly that this is found from.
+# Evenly drawn sequences from which this is computed.
 _SAMPLE_SIZE = 4000
 # Signs that motions of the plate give to cos 2t, sin 2t, cos 4t, sin 4t.
 _SIGNS = {
@@ -75,11 +75,11 @@ class Symmetry:
 
 
 def plane_motions(specimen: Specimen) -> tuple[str, ...]:
-    """The kinds of motions in the plane that map the plate onto itself, "" (none) always among them.
+    """Kinds of motions in the plane that map the plate onto itself, "" (none) always among them.
 
     Kinds that exchange x and y need a square whose sizes are known equally well, and frequencies
-    without labels: a label counts half-waves along x and along y. For a plate with a mesh from a file no
-    motion is sought.
+    without labels: a label counts half-waves along x and along y. A plate with a mesh from a file has only
+    the kind "".
     """
     plate = specimen.plate
     labelled = specimen.measurement is not None and specimen.measurement.names_modes
@@ -98,10 +98,9 @@ def plane_motions(specimen: Specimen) -> tuple[str, ...]:
 
 
 def plate_symmetries(specimen: Specimen) -> tuple[Symmetry, ...]:
-    """All maps between sequences of a specimen's layup that leave every frequency as it is.
+    """All maps between sequences of a specimen's layup that leave every frequency unchanged.
 
-    The identity is left out, so a plate without symmetries has none. Of maps that do the same, the
-    first is kept.
+    The identity is left out, so a plate without symmetries has none. Of equal maps the first is kept.
     """
     layup = specimen.plate.layup
     grid = angle_grid(specimen.angle_grid_deg)
@@ -119,9 +118,9 @@ def plate_symmetries(specimen: Specimen) -> tuple[Symmetry, ...]:
 
 
 def image(sequences: Array, symmetry: Symmetry) -> tuple[Array, NDArray[np.bool_]]:
-    """Images of sequences (m, n_unknown) under a symmetry, and (m,) whether each has one.
+    """Images of sequences (m, n_unknown) under a symmetry, and mask (m,) of those that have one.
 
-    A row without an image is given back as it is.
+    A row without an image is returned unchanged.
     """
     sequences = grid_indices(sequences, symmetry)
     holds = has_image(sequences, symmetry)
@@ -139,7 +138,7 @@ def _is_square(plate: Plate) -> bool:
 
 
 def _same_masses(before: list[tuple[float, float, float]], after: list[tuple[float, float, float]]) -> bool:
-    """Whether masses (x, y, mass) are the same in some order."""
+    """Whether two lists of masses (x, y, mass) are equal up to their order."""
     rest = list(before)
     for point in after:
         tolerance = _EQUAL * np.array([1.0, 1.0, point[2]])
@@ -156,7 +155,7 @@ def _same_masses(before: list[tuple[float, float, float]], after: list[tuple[flo
 def _compiled(
     name: str, layup: Layup, grid: Array, turned: Callable[[Array], Array], upside_down: bool
 ) -> Symmetry | None:
-    """The unknown angles under a motion; None if no sequence keeps the layup's form."""
+    """Symmetry of the unknown angles by a motion; None if no sequence keeps the layup's form."""
     permutation = np.array([_on_grid(float(turned(angle)), grid) for angle in grid])
     if np.any(permutation < 0):  # the grid is not mapped onto itself
         return None
@@ -201,7 +200,7 @@ def _compiled(
 
 
 def _on_grid(angle_deg: float, grid: Array) -> int:
-    """Grid index of a direction, -1 where there is none."""
+    """Grid index of a direction, -1 if it is not on the grid."""
     near = np.flatnonzero(np.abs((grid - angle_deg + 90.0) % 180.0 - 90.0) <= _EQUAL)
     return int(near[0]) if near.size else -1
 
@@ -220,7 +219,7 @@ def _content(symmetry: Symmetry) -> Any:
 
 
 def has_image(sequences: Array, symmetry: Symmetry) -> NDArray[np.bool_]:
-    """True where sequences (m, n_unknown) meet the conditions of a symmetry, (m,)."""
+    """Mask (m,) of the sequences (m, n_unknown) that meet the conditions of a symmetry."""
     holds = np.ones(len(sequences), dtype=bool)
     for k, index in symmetry.conditions:
         holds &= sequences[:, k] == index
@@ -230,7 +229,7 @@ def has_image(sequences: Array, symmetry: Symmetry) -> NDArray[np.bool_]:
 
 
 def grid_indices(sequences: Array, symmetry: Symmetry) -> Array:
-    """Sequences that fit the symmetry's grid and layup; ``ValueError`` otherwise."""
+    """Sequences as an array, checked against the symmetry's grid and layup; ``ValueError`` otherwise."""
     indices = np.asarray(sequences)
     n_grid, n_unknown = symmetry.permutation.size, symmetry.source.size
     if indices.ndim != 2 or indices.shape[1] != n_unknown or not np.issubdtype(indices.dtype, np.integer):
@@ -250,7 +249,7 @@ def grid_indices(sequences: Array, symmetry: Symmetry) -> Array:
 class Orbits:
     """The class of every sequence of a stack.
 
-    representative : (m, n_unknown) first member of the class in lexicographic order of grid indices; of the
+    representative : (m, n_unknown) first member of the class in lexicographic order of grid indices, with the
     dtype of the sequences.
     size : (m,) sequences of the whole grid in the class.
     """
@@ -261,7 +260,7 @@ class Orbits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Classes:
-    """The different classes of a stack of sequences, in lexicographic order.
+    """The distinct classes of a stack of sequences, in lexicographic order.
 
     representative : (k, n_unknown) first members.
     label : (m,) the class of each row.
@@ -276,7 +275,7 @@ class Classes:
 
 
 def canonical(sequences: Array, symmetries: Sequence[Symmetry]) -> Orbits:
-    """Representatives and sizes of the classes that sequences belong to, whichever members are there.
+    """Representatives and sizes of the classes of sequences, whichever members are present.
 
     sequences : (m, n_unknown) grid indices of any integer type.
 
@@ -296,7 +295,7 @@ def canonical(sequences: Array, symmetries: Sequence[Symmetry]) -> Orbits:
 
 
 def classes(sequences: Array, symmetries: Sequence[Symmetry]) -> Classes:
-    """The classes of sequences (m, n_unknown) that no frequency tells apart.
+    """Classes of sequences (m, n_unknown) that no frequency distinguishes.
 
     Raises as ``canonical``.
     """
@@ -308,7 +307,7 @@ def classes(sequences: Array, symmetries: Sequence[Symmetry]) -> Classes:
 
 
 def members(sequence: Array, symmetries: Sequence[Symmetry]) -> Array:
-    """All sequences of the class of a sequence (n_unknown,), in lexicographic order, (size, n_unknown)."""
+    """All sequences (size, n_unknown) of the class of a sequence (n_unknown,), in lexicographic order."""
     row = np.asarray(sequence)[None, :]
     images = [row]
     for symmetry in symmetries:
@@ -321,7 +320,7 @@ def members(sequence: Array, symmetries: Sequence[Symmetry]) -> Array:
 def _image_codes(
     sequences: Array, symmetries: Sequence[Symmetry]
 ) -> Iterator[tuple[slice, NDArray[np.int64]]]:
-    """Numbers of sequences and of their images, (1 + n_symmetries, rows), some rows at a time.
+    """Numbers (1 + n_symmetries, rows) of sequences and of their images, some rows at a time.
 
     A number is read in the base of the grid's size, so that numbers are in lexicographic order. A
     missing image counts as the sequence itself.
@@ -369,7 +368,7 @@ def _decoded(codes: NDArray[np.int64], like: Array, symmetries: Sequence[Symmetr
 
 
 def _lexicographic(sequences: Array) -> NDArray[np.int64]:
-    """Ranks of rows in lexicographic order, equal for equal rows, (m,)."""
+    """Numbers (m,) that order rows lexicographically, equal for equal rows."""
     top = int(sequences.max(initial=0)) + 1
     return np.asarray(sequences.astype(np.int64) @ _places(top, sequences.shape[1]))
 
@@ -381,12 +380,12 @@ class PlySums:
     v = sum_j w_j (cos 2t_j, sin 2t_j, cos 4t_j, sin 4t_j), w_j the fraction of unknown j in the bending
     stiffness of all unknown plies: the unknown part of the bending lamination parameters (Tsai and
     Hahn, 1980), between -1 and 1. q are the same sums with the weights of the transverse shear energy,
-    (1 - 4 z^2 / h^2)^2, and of the membrane stiffness, less their linear regression on v.
+    (1 - 4 z^2 / h^2)^2, and of the membrane stiffness, minus their linear regression on v.
 
     first : (k, n_grid, 4) contributions to v.
     rest : (k, n_grid, n_q) contributions to q.
     grid_deg : (n_grid,).
-    function : (4 + n_q,) which of the four angle functions each sum is of.
+    function : (4 + n_q,) index of the angle function, of four, of each sum.
     """
 
     first: Array
@@ -401,32 +400,32 @@ class PlySums:
 
     @property
     def rest_bound(self) -> Array:
-        """Bounds of the magnitude of q over all sequences, (n_q,)."""
+        """Bounds (n_q,) of the magnitude of q over all sequences."""
         return np.asarray(np.abs(self.rest).max(axis=1).sum(axis=0))
 
     @property
     def both(self) -> Array:
-        """Contributions to v and q, (k, n_grid, 4 + n_q)."""
+        """Contributions (k, n_grid, 4 + n_q) to v and q."""
         return np.concatenate((self.first, self.rest), axis=2)
 
     def signs(self, motion: str) -> Array:
-        """Signs that the image under a motion of the plate, by its name, gives to the sums, (4 + n_q,)."""
+        """Signs (4 + n_q,) that a motion of the plate, by its name, gives to the sums."""
         return np.array(_SIGNS[motion], dtype=float)[self.function]
 
     def features(self, sequences: Array) -> Array:
-        """Sums (v, q) of sequences of grid indices (m, k), (m, 4 + n_q)."""
+        """Sums (v, q), (m, 4 + n_q), of sequences of grid indices (m, k)."""
         both = self.both
         return np.asarray(sum(both[j][sequences[:, j]] for j in range(self.n_unknown)))
 
 
 def all_sequences(n_grid: int, n_unknown: int) -> Array:
-    """Every sequence of grid indices, (n_grid^n_unknown, n_unknown); the last angle changes fastest."""
+    """All sequences of grid indices (n_grid^n_unknown, n_unknown); the last angle changes fastest."""
     every = np.unravel_index(np.arange(n_grid**n_unknown), (n_grid,) * n_unknown)
     return np.stack(every, axis=1)
 
 
 def all_choices(contributions: Array) -> Array:
-    """Sums of contributions (k, n_grid, d) of some plies for all choices of their angles, (n_grid^k, d).
+    """Sums (n_grid^k, d) of contributions (k, n_grid, d) of some plies for all choices of their angles.
 
     The angle of the last ply changes fastest.
     """
@@ -437,10 +436,10 @@ def all_choices(contributions: Array) -> Array:
 
 
 def ply_sums(layup: Layup, grid_deg: Array) -> PlySums:
-    """The sums of a symmetric layup of equal plies with unknown angles on a grid, (n_grid,) degrees.
+    """Sums of a symmetric layup of equal plies with unknown angles on a grid, (n_grid,) degrees.
 
     Raises ``ValueError`` for a layup that is not symmetric, where bending and stretching are coupled, or
-    of several kinds of plies: there more sums count.
+    of several kinds of plies: these would need more sums.
     """
     if layup.kinds or not layup.is_symmetric:
         raise ValueError(
@@ -462,7 +461,7 @@ def ply_sums(layup: Layup, grid_deg: Array) -> PlySums:
 
 
 def _independent(first: Array, others: Array) -> Array:
-    """Principal directions of further sums (n, k, n_grid) less their regression on the first (k, n_grid)."""
+    """Principal directions of further sums (n, k, n_grid) minus their regression on the first (k, n_grid)."""
     k, n_grid = first.shape
     sequences = np.random.default_rng(0).integers(n_grid, size=(_SAMPLE_SIZE, k))
     ply = np.arange(k)

@@ -1,4 +1,4 @@
-"""Training of the surrogate in rounds: where the evidence may be high first, then where the mass is."""
+"""Training of the surrogate in rounds: first where the evidence may be high, then where the mass is."""
 
 from __future__ import annotations
 
@@ -27,37 +27,36 @@ from cpam_bayes.stacking.symmetry import PlySums, all_sequences
 
 Array = NDArray[Any]
 
-# log2 of the points of importance sampling of evenly drawn sequences, most of which carry nothing.
+# log2 of the points of importance sampling of evenly drawn sequences, most of which carry no mass.
 _FIRST_POINTS = 4
-# Optima that are kept of each sequence.
+# Optima kept for each sequence.
 _OPTIMA = 2
-# Sequences drawn evenly among which high evidences are sought, how many are predicted at a time, and how far
-# below the best an evidence counts as high, nats.
+# Evenly drawn sequences among which high evidences are sought, number predicted at a time, and nats below the
+# best within which an evidence counts as high.
 _POOL, _POOL_ROWS, _HIGH_NATS = 12_000, 1000, 8.0
 # Temperatures of Gibbs' sampler, and that of the sequences of which one angle is changed.
 _TEMPERATURES, _CHANGED = (1.0, 2.0, 4.0), 3.0
-# Sweeps of Gibbs' sampler, and the pieces that its chains are run in.
+# Sweeps of Gibbs' sampler, and the pieces in which its chains are run.
 _SWEEPS, _CHAIN_PIECES = 3, 4
-# Root mean square error, nats, from which on the region of the posterior is known.
+# Root mean square error, nats, below which the region of the posterior is known.
 _REGION_KNOWN_RMS = 4.0
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingSettings:
-    """How the surrogate is trained.
+    """Settings of the training of the surrogate.
 
-    initial : sequences drawn evenly.
+    initial : evenly drawn sequences.
     exploration_rounds : rounds that seek where the evidence may be high.
     each_round : sequences that join in a round.
     max_size : of the training set.
     rms : root mean square error, nats, on fresh draws from the posterior that ends the training where the
     sequences that count are few enough to be computed one by one.
-    fine_rms : where they are not.
+    fine_rms : the same where they are not.
     log2_points : of the importance sampling of each sequence.
-    easy_noise : relative noise from which on sequences drawn evenly lead to the posterior.
-    noise_factor : where there is less, training begins with the best at so many times the noise, ...
-    seeds, seeds_rms : ... their number, and the root mean square error, nats, of the surrogate that they are
-        found by.
+    easy_noise : relative noise above which evenly drawn sequences lead to the posterior.
+    noise_factor : with less noise, training begins with the best sequences at so many times the noise.
+    seeds, seeds_rms : number of these, and root mean square error, nats, of the surrogate that finds them.
     """
 
     initial: int = 300
@@ -87,8 +86,8 @@ class TrainingProblem:
     """The function to be approximated: log evidence over the ply sums of the sequences.
 
     images : (n_images, d) changes of sign of the features that change no frequency.
-    starts : (2, n) parameters that every optimisation starts from.
-    library : (p, n_constants) constants that optimisations may start from.
+    starts : (2, n) parameters from which every optimisation starts.
+    library : (p, n_constants) constants from which optimisations may start.
     """
 
     conditional: ConditionalPosterior
@@ -102,7 +101,7 @@ class TrainingProblem:
     def evaluated(
         self, basis: ConditionalPosterior, sequences: Array, starts: Array, log2_points: int
     ) -> Evaluated:
-        """Sequences (m, k) optimised from starts and from the library, with the optima that count most."""
+        """Sequences (m, k) evaluated from starts and from the library, with their heaviest optima."""
         grid, executor = self.sums.grid_deg, self.executor
         data = evaluate(basis, grid, sequences, starts, log2_points, executor, self.library)
         return with_optima(data, _OPTIMA)
@@ -110,7 +109,7 @@ class TrainingProblem:
     def fitted(
         self, data: Evaluated, rng: np.random.Generator, rms: float, largest: float, before: Surrogate | None
     ) -> Surrogate:
-        """The surrogate through evaluated sequences."""
+        """Surrogate through evaluated sequences."""
         return fit_surrogate(self.conditional, self.sums, self.images, data, rng, rms, largest, before)
 
 
@@ -120,12 +119,12 @@ def train(
     notify: Callable[[str], None],
     seeds: Array | None = None,
 ) -> TrainedSurrogate:
-    """The surrogate, by rounds, on reduced bases that are made for where the rounds go.
+    """Train the surrogate by rounds, on reduced bases made for the region of each.
 
-    Evenly drawn sequences come first, then such whose evidence is not known to be far below the best, so that
-    no region is overlooked. Then, round after round, sequences are drawn from the posterior by the surrogate,
-    a quarter each at temperatures 1, 2 and 4, and join, with good ones of which one angle is changed. Those
-    of temperature 1 give its error before they join.
+    Evenly drawn sequences come first, then those whose evidence is not known to be far below the best, so
+    that no region is overlooked. Then, round after round, sequences are drawn from the posterior by the
+    surrogate, a quarter each at temperatures 1, 2 and 4, and join, with good ones in which one angle is
+    changed. Those of temperature 1 measure its error before they join.
 
     seeds : (m, k) sequences that may be good, to be evaluated before the others.
     """
@@ -163,7 +162,7 @@ def train_further(
     located = np.isfinite(surrogate.rms_error)
     rms, largest, before, idle = surrogate.rms_error, surrogate.largest_error, np.inf, 0
     while True:
-        # one round may by chance have met nothing new
+        # one round may by chance have found nothing new
         enough = max(rms, before) <= target_rms or idle > 1 or len(data.sequences) >= settings.max_size
         drawn, cold = (data.sequences[:0], np.zeros(0, dtype=bool))
         if not enough:
@@ -197,7 +196,7 @@ def train_further(
 def retrain(
     trained: TrainedSurrogate, problem: TrainingProblem, fresh: Evaluated, rng: np.random.Generator
 ) -> TrainedSurrogate:
-    """The surrogate with further sequences in its training set, and a basis that is made for them too."""
+    """The surrogate with further sequences in its training set, and a basis made for them too."""
     data = merged(trained.data, fresh)
     before = trained.surrogate
     surrogate = problem.fitted(data, rng, before.rms_error, before.largest_error, before)
@@ -205,7 +204,7 @@ def retrain(
 
 
 def _starts(surrogate: Surrogate, problem: TrainingProblem, data: Evaluated, sequences: Array) -> Array:
-    """Two starts of sequences (m, k), the nearest optimum and the first of the common ones, (m, 2, n)."""
+    """Two starts (m, 2, n) of sequences (m, k): the nearest optimum and the first of the common ones."""
     sums, lengths = problem.sums, surrogate.process.lengths
     around = neighbours(sums.features(data.sequences), data.fits.x, lengths, problem.images)
     near = around.nearest(sums.features(sequences))
@@ -227,7 +226,7 @@ def _possibly_high(
 
 
 def _new(sequences: Array, data: Evaluated) -> NDArray[np.bool_]:
-    """True where sequences (m, k) are not in the training set, (m,)."""
+    """Mask (m,) of the sequences (m, k) that are not in the training set."""
     known = {tuple(s) for s in data.sequences}
     return np.array([tuple(s) not in known for s in sequences], dtype=bool)
 
@@ -235,7 +234,7 @@ def _new(sequences: Array, data: Evaluated) -> NDArray[np.bool_]:
 def _focused(
     problem: TrainingProblem, data: Evaluated, rng: np.random.Generator
 ) -> tuple[ConditionalPosterior, Evaluated]:
-    """The basis about the posterior, and the training set with those near the top evaluated on it."""
+    """Basis about the posterior, and the training set with the sequences near the top evaluated on it."""
     grid = problem.sums.grid_deg
     focused = about(problem.conditional, grid, data, rng)
     high = data.log_evidence > data.log_evidence.max() - NEAR
@@ -255,10 +254,10 @@ def _draws(
     rng: np.random.Generator,
     executor: Executor | None,
 ) -> tuple[Array, Array]:
-    """New sequences, n or fewer, and which of them were drawn by Gibbs' sampler at temperature 1, bool.
+    """New sequences, n or fewer, and mask of those drawn by Gibbs' sampler at temperature 1.
 
-    Each chain starts from a sequence that was evaluated, drawn by its evidence at its temperature. Some
-    sequences do not heed the surrogate, which may be wrong about them: good ones with one angle changed.
+    Each chain starts from an evaluated sequence, drawn by its evidence at its temperature. Some sequences are
+    independent of the surrogate, which may be wrong about them: good ones with one angle changed.
     """
     temperature = np.repeat([*_TEMPERATURES, _CHANGED], -(-n // 4))[:n]
     g, k = len(sums.grid_deg), sums.n_unknown

@@ -1,1 +1,1 @@
-"""The local page: a plate file on a screen, with its constants and its diagnosis while one types."""
+"""The local page: a plate file on screen, with its constants and diagnosis updated while the user types."""

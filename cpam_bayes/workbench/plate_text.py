@@ -1,7 +1,7 @@
-"""A plate file as a text that fields of a page change, key by key; comments and all other keys stay.
+"""A plate file as text that the fields of a page edit key by key; comments and other keys stay.
 
-Whatever is typed goes into the text: a number as it was typed, anything else as a string, of which the reader
-of plate files then says what is wrong.
+Typed text is written as it is: a number as a number, anything else as a string, which the reader of plate
+files then reports.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ FIELDS: Final[Mapping[str, str]] = {
     "measurement.relative_std": NUMBER,
     "measurement.resolution_hz": NUMBER,
 }
-"""Key of a plate file that a page may change -> how its text is written."""
+"""Editable key of a plate file -> the form of its value."""
 _BESIDE_ROWS: Final = ("frequency_sd_hz", "labels", "left_out", "by_hand")
-"""Keys of [measurement] that follow its list row by row."""
+"""Keys of [measurement] that refer to the rows of its list."""
 SENSOR: Final = ("mass_g", "x_mm", "y_mm")
-"""Keys of a mass on the plate."""
+"""Keys of an attached mass."""
 
 _HEADER: Final = re.compile(r"^\s*\[\[?\s*([A-Za-z0-9_.-]+)\s*\]\]?\s*(?:#.*)?$")
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d{1,3})?")
@@ -42,7 +42,7 @@ _SEPARATORS: Final = re.compile(r"[;\s|]+")
 
 
 def content(text: str) -> dict[str, Any]:
-    """The values of a plate file, empty for a text that is no TOML."""
+    """The values of a plate file; empty for invalid TOML."""
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError):
@@ -50,7 +50,7 @@ def content(text: str) -> dict[str, Any]:
 
 
 def value_at(data: Mapping[str, Any], key: str) -> Any:
-    """The value under a dotted key, None where there is none."""
+    """The value under a dotted key, None if missing."""
     found: Any = data
     for part in key.split("."):
         found = found.get(part) if isinstance(found, Mapping) else None
@@ -58,19 +58,19 @@ def value_at(data: Mapping[str, Any], key: str) -> Any:
 
 
 def as_typed(value: object) -> str:
-    """A value of a plate file as it is typed, "" for None."""
+    """A value as it is typed, "" for None."""
     return f"{value:.10g}" if isinstance(value, float) else "" if value is None else str(value)
 
 
 def sensors_in(data: Mapping[str, Any]) -> list[dict[str, str]]:
-    """The masses on the plate, as typed."""
+    """The attached masses, as typed."""
     return [{k: as_typed(s.get(k)) for k in SENSOR} for s in data.get("sensor", []) if isinstance(s, Mapping)]
 
 
 def numbers_in(typed: str) -> list[str]:
-    """The numbers of a typed or pasted list; a comma in a number is a decimal one unless it parts a list.
+    """Numbers of a typed or pasted list; a comma in a number is decimal unless it separates the list.
 
-    "102, 311; 342", "102,5 311,2" and a column of a spreadsheet are all read.
+    "102, 311; 342", "102,5 311,2" and a spreadsheet column are all read.
     """
     parts = [part.strip(",") for part in _SEPARATORS.split(typed) if part.strip(",")]
     if any(part.count(",") > 1 for part in parts) or (len(parts) == 1 and re.search(r"\.\d*,", parts[0])):
@@ -79,7 +79,7 @@ def numbers_in(typed: str) -> list[str]:
 
 
 def _number(typed: str) -> str:
-    """A number as typed, with a decimal point; anything else as a string, which no number may be."""
+    """TOML of a typed number, with a decimal point; of anything else as a string, which is then reported."""
     plain = typed.strip().replace(",", ".")
     if not _NUMBER.fullmatch(plain):
         return json.dumps(typed, ensure_ascii=False)
@@ -89,14 +89,14 @@ def _number(typed: str) -> str:
 
 
 def _padded(plain: str) -> bool:
-    """Whether zeros lead, or a point lacks digits, which TOML does not take."""
+    """Whether a number has leading zeros or a point without digits, which TOML rejects."""
     return bool(re.match(r"-?0\d", plain) or re.search(r"\.(?:e|E|$)", plain) or plain.startswith("-."))
 
 
 def with_value(text: str, key: str, typed: str) -> str:
-    """The text with what was typed under a key of `FIELDS`; the key goes where nothing was typed.
+    """The text with the typed value under a key of `FIELDS`; an empty value removes the key.
 
-    Raises ``KeyError`` for another key.
+    Raises ``KeyError`` for any other key.
     """
     kind, plain = FIELDS[key], typed.strip()
     literal = json.dumps(plain, ensure_ascii=False) if kind == WORDS else _number(plain)
@@ -138,7 +138,7 @@ def _with_literal(text: str, key: str, literal: str) -> str:
 
 
 def _block(lines: Sequence[str], table: str) -> tuple[int, int]:
-    """The lines after the header of a table up to the next header; (-1, -1) where it has none."""
+    """Start and end, excluded, of the body of a table; (-1, -1) if it is missing."""
     heads = [(i, found[1]) for i, line in enumerate(lines) if (found := _HEADER.match(line))]
     if not table:
         return 0, heads[0][0] if heads else len(lines)
@@ -149,7 +149,7 @@ def _block(lines: Sequence[str], table: str) -> tuple[int, int]:
 
 
 def _end_of_value(lines: Sequence[str], first: int, stop: int) -> int:
-    """The line after a value that begins in a line and may go on over several."""
+    """The line after a value that starts in a given line and may span several."""
     for end in range(first + 1, stop + 1):
         if content("\n".join(lines[first:end])):
             return end
@@ -157,7 +157,7 @@ def _end_of_value(lines: Sequence[str], first: int, stop: int) -> int:
 
 
 def _comment(line: str) -> str:
-    """The comment behind a value, "" where there is none."""
+    """The comment after a value, "" if none."""
     for at in (i for i, sign in enumerate(line) if sign == "#"):
         if content(line[:at]):
             return line[at:].strip()
@@ -166,7 +166,7 @@ def _comment(line: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A frequency as typed, with what belongs to it; sd, label : in TOML, "" where the file has none."""
+    """A frequency as typed, with its entries; sd, label : as TOML, "" if missing."""
 
     hz: str
     sd: str = ""
@@ -196,9 +196,9 @@ def rows_in(data: Mapping[str, Any]) -> list[Row]:
 
 
 def with_rows(text: str, rows: Sequence[Row], *, listed: bool = True) -> str:
-    """The text with these rows as its list; a standard deviation that a row lacks is the usual one.
+    """The text with these rows as its list; a missing standard deviation becomes the median one.
 
-    listed : False where another file has the list, and only what was done by hand is written
+    listed : False where another file has the list, so that only manual changes are written
     """
     sds = sorted(float(row.sd) for row in rows if row.sd)
     usual = repr(sds[len(sds) // 2]) if sds else ""
@@ -215,14 +215,14 @@ def with_rows(text: str, rows: Sequence[Row], *, listed: bool = True) -> str:
 
 
 def with_file(text: str, key: str, name: str) -> str:
-    """The text without its list, and with a file under a key of [measurement] where it has a name."""
+    """The text without its list, and with a file name under a key of [measurement], if there is one."""
     for other in (*SOURCES, "range_hz", *_BESIDE_ROWS, "picked_from"):
         text = _with_literal(text, f"measurement.{other}", "")
     return _with_literal(text, f"measurement.{key}", json.dumps(name, ensure_ascii=False) if name else "")
 
 
 def with_block(text: str, table: str, body: Sequence[str]) -> str:
-    """The text with other lines in a table; the comments above its header stay."""
+    """The text with new lines in a table; comments above its header stay."""
     lines = text.split("\n")
     start, stop = _block(lines, table)
     if start < 0:
@@ -233,7 +233,7 @@ def with_block(text: str, table: str, body: Sequence[str]) -> str:
 
 
 def with_sensors(text: str, sensors: Sequence[Mapping[str, str]]) -> str:
-    """The text with these masses on the plate in place of all that it had, as typed."""
+    """The text with these attached masses, as typed, in place of all others."""
     kept: list[str] = []
     inside = False
     for line in text.split("\n"):

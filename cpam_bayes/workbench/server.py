@@ -1,7 +1,7 @@
-"""The server of the page: on this machine alone, for who has the token, reading and writing one folder.
+"""The server of the page: on this machine only, for holders of the token, reading and writing one folder.
 
-A request is answered where its Host is this server, its Origin, if it says one, too, and its cookie holds the
-token of the address that the command printed. Pages may load nothing from elsewhere.
+A request is answered if its Host and, if given, its Origin are this server, and its cookie holds the token of
+the printed address. Pages may load nothing from elsewhere.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ _HEADERS: Final = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-# A report holds its own style and figures, and no script.
+# A report embeds its style and figures, and has no script.
 _REPORT_POLICY: Final = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; frame-ancestors 'none'"
 
 
 class _Refused(Exception):
-    """A request that is not answered but with this status and sentence."""
+    """A request refused with this status and sentence."""
 
     def __init__(self, status: int, said: str) -> None:
         super().__init__(status, said)
 
 
 class _Guard:
-    """Lets through what comes from the page itself; everything else gets an error and no more."""
+    """Admits requests of the page itself; all others get an error."""
 
     def __init__(self, app: Any, hosts: frozenset[str], token: str, cookie: str, pages: _Pages) -> None:
         self.app, self.hosts, self.token, self.cookie, self.pages = app, hosts, token, cookie, pages
@@ -94,7 +94,7 @@ def _with_headers(response: Response) -> Response:
 
 
 class _Pages:
-    """The answers to requests that the guard let through."""
+    """Handlers of the admitted requests."""
 
     def __init__(self, desk: Desk, token: str, cookie: str, first: Callable[[], Visit] | None) -> None:
         self.desk, self.token, self.cookie, self.first = desk, token, cookie, first
@@ -102,12 +102,12 @@ class _Pages:
         self.list = Work(desk=desk, file="batch")
 
     def wake(self) -> None:
-        """Answer all who wait for news."""
+        """Answer all requests that wait for news."""
         for work in (self.list, *self.visits.values()):
             work.tell()
 
     def stop(self) -> None:
-        """End all that is computed."""
+        """End all computations."""
         for work in (self.list, *self.visits.values()):
             work.stop()
         self.desk.live.stop()
@@ -132,7 +132,7 @@ class _Pages:
         return visit
 
     async def begin(self, request: Request) -> Response:
-        """The first page; of an address with the token, the cookie with it first."""
+        """The first page; an address with the token sets its cookie and redirects."""
         if "token" in request.query_params:
             response: Response = RedirectResponse("/", 303)
             response.set_cookie(self.cookie, self.token, httponly=True, samesite="strict")
@@ -143,12 +143,12 @@ class _Pages:
         return HTMLResponse(begin_page(self.desk.folder, plate_names(self.desk.folder), self.list))
 
     async def folder_news(self, request: Request) -> Response:
-        """The changes of the list of plates, as soon as there is one."""
+        """Changes of the list of plates, once there are any."""
         await self.list.news(_number(request, "seen"), _WAIT)
         return JSONResponse(folder_news(plate_names(self.desk.folder), self.list))
 
     async def folder_act(self, request: Request) -> Response:
-        """Compute the table of all plates of the folder, or end that."""
+        """Start or end the computation of the table of all plates in the folder."""
         asked, names = await _body(request), plate_names(self.desk.folder)
         if asked.get("do") == "cancel":
             self.list.cancel()
@@ -160,11 +160,11 @@ class _Pages:
         return JSONResponse({"said": "", **folder_news(names, self.list)})
 
     async def folder_report(self, request: Request) -> Response:
-        """The page of the table of plates that was computed last."""
+        """The page of the last computed table of plates."""
         return self._page_of(self.list.answers.get("batch"))
 
     async def open(self, request: Request) -> Response:
-        """A new visit: of a file, of an empty plate or of the example."""
+        """A new visit: of a file, an empty plate or the example."""
         asked = await _body(request)
         if asked.get("file") is not None:
             visit = Visit.opened(self.desk, asked["file"])
@@ -179,20 +179,20 @@ class _Pages:
         return HTMLResponse(visit_page(self._visit(request)))
 
     async def news(self, request: Request) -> Response:
-        """The changes since a version, as soon as there is one."""
+        """Changes since a version, once there are any."""
         visit = self._visit(request)
         await visit.news(_number(request, "seen"), _WAIT)
         return JSONResponse(news_of(visit, _number(request, "structure")))
 
     async def edit(self, request: Request) -> Response:
-        """One edit."""
+        """Make one edit."""
         visit, asked = self._visit(request), await _body(request)
         visit.edit(asked)
         known = asked.get("structure")
         return JSONResponse(news_of(visit, known if isinstance(known, int) else -1))
 
     async def act(self, request: Request) -> Response:
-        """Save, cancel, or compute what waits to be asked for."""
+        """Save, cancel, or compute on request."""
         visit, asked = self._visit(request), await _body(request)
         said, what = "", asked.get("do")
         if what == "save":
@@ -206,18 +206,18 @@ class _Pages:
         return JSONResponse({"said": said, **news_of(visit, -1 if said else visit.structure)})
 
     async def plate_file(self, request: Request) -> Response:
-        """The plate file as it is now."""
+        """The current plate file."""
         return PlainTextResponse(self._visit(request).text)
 
     async def drop(self, request: Request) -> Response:
-        """A file that was dropped on the page."""
+        """Take a file dropped on the page."""
         visit = self._visit(request)
         content = await _content(request, "application/octet-stream", MOST_BYTES)
         said = visit.take(request.query_params.get("name", ""), content)
         return JSONResponse({"said": said, **news_of(visit, -1)})
 
     async def report(self, request: Request) -> Response:
-        """The report that was written last."""
+        """The last written report."""
         visit = self._visit(request)
         return self._page_of(visit.answers.get("report", visit.stale.get("report")))
 
@@ -227,14 +227,14 @@ class _Pages:
         return response
 
     def _written(self, written: Mapping[str, Any] | None, kind: str) -> bytes:
-        """A file of an answer that was written."""
+        """The content of a written file of an answer."""
         path = None if written is None else self.desk.folder / str(written[kind])
         if path is None or not path.is_file() or path.is_symlink():
             raise _Refused(404, "no report is written yet")
         return bytes(path.read_bytes())
 
     async def results(self, request: Request) -> Response:
-        """The results of the report as JSON or a workbook."""
+        """The last report as JSON or as a workbook."""
         visit, kind = self._visit(request), str(request.path_params["kind"])
         if kind not in _RESULTS:
             raise _Refused(404, "no such file")
@@ -243,7 +243,7 @@ class _Pages:
         return Response(content, media_type=_RESULTS[kind], headers={"Content-Disposition": name})
 
     async def file(self, request: Request) -> Response:
-        """The style and the script."""
+        """The style sheet or the script."""
         name = str(request.path_params["name"])
         if name not in _FILES:
             raise _Refused(404, "no such file")
@@ -256,7 +256,7 @@ def _number(request: Request, name: str) -> int:
 
 
 async def _content(request: Request, kind: str, most: int) -> bytes:
-    """The content of a request, of one kind and at most so many bytes."""
+    """The body of a request, of one media type and limited size."""
     if request.headers.get("content-type", "").partition(";")[0] != kind:
         raise _Refused(415, f"accepted: {kind}")
     content = bytearray()
@@ -268,7 +268,7 @@ async def _content(request: Request, kind: str, most: int) -> bytes:
 
 
 async def _body(request: Request) -> Mapping[str, Any]:
-    """The object of a request of at most 64 kB."""
+    """The JSON object in a request, 64 kB at most."""
     try:
         asked = json.loads(await _content(request, "application/json", _MOST_BYTES))
     except (ValueError, RecursionError):
@@ -279,7 +279,7 @@ async def _body(request: Request) -> Mapping[str, Any]:
 
 
 def application(desk: Desk, token: str, port: int, first: Callable[[], Visit] | None = None) -> Any:
-    """The application; token : of the address, first : makes the visit that is shown first."""
+    """The application; token : required in the address, first : makes the visit that is shown first."""
     cookie = f"cpam_bayes_{port}"
     pages = _Pages(desk, token, cookie, first)
 
@@ -325,7 +325,7 @@ def application(desk: Desk, token: str, port: int, first: Callable[[], Visit] | 
 
 
 def free_port(port: int) -> int:
-    """The port, or one that is free where it is 0; raises ``ValueError`` where it is taken."""
+    """The port, or a free one for 0; raises ``ValueError`` where it is taken."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -338,7 +338,7 @@ def free_port(port: int) -> int:
 
 
 def serve(desk: Desk, port: int, announce: Callable[[str], None], first: Callable[[], Visit] | None) -> None:
-    """Serve the page until Ctrl-C; announce : is told its address once."""
+    """Serve the page until Ctrl-C; announce : called once with its address."""
     import uvicorn
 
     token = secrets.token_urlsafe(24)

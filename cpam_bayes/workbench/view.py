@@ -1,4 +1,4 @@
-"""A visit as HTML: the form once, and its parts anew where something changed."""
+"""A visit as HTML: the form, drawn once, and its parts, redrawn when something changes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _DOING: Final = {
     "diagnose": "Looking for what is wrong",
     "report": "Writing the report",
 }
-# Width and height of an interval bar, and the margin of a drawing as a share of the longer side.
+# Width and height of an interval bar; margin of a drawing as a fraction of the longer side.
 _BAR: Final = (160.0, 16.0)
 _MARGIN: Final = 0.13
 _SPECTRUM: Final = (640.0, 150.0)
@@ -55,14 +55,14 @@ def _environment() -> Environment:
 
 
 def begin_page(folder: Path, names: Sequence[str], work: Work) -> str:
-    """The first page: three steps, an example, the plates of the folder; work : on their table."""
+    """The first page: three steps, an example, the plates of the folder; work : on the table of plates."""
     parts = folder_news(names, work)["parts"]
     page = _environment().get_template("begin.html")
     return page.render(folder=folder.name or str(folder), names=names, parts=parts, work=work)
 
 
 def folder_news(names: Sequence[str], work: Work) -> dict[str, Any]:
-    """The list of plates as it is now, with what was computed of them, and what is being computed."""
+    """The current list of plates with its results, and the running computation."""
     module, table = _module(), work.answers.get("batch")
     cells = {row["file"]: row for row in table["rows"]} if table else {}
     parts = {
@@ -73,13 +73,13 @@ def folder_news(names: Sequence[str], work: Work) -> dict[str, Any]:
 
 
 def visit_page(visit: Visit) -> str:
-    """The whole page of a visit."""
+    """The complete page of a visit."""
     page = _environment().get_template("visit.html")
     return page.render(visit=visit, parts=_parts(visit), form=Markup(_form(visit)))
 
 
 def news_of(visit: Visit, structure: int) -> dict[str, Any]:
-    """The parts of the page as they are now; the form too where its structure is newer than what is shown."""
+    """The current parts of the page; with the form, if its structure is newer than the displayed one."""
     parts = dict(_parts(visit))
     if structure != visit.structure:
         parts["form"] = _form(visit)
@@ -132,13 +132,13 @@ def _names(given: object) -> str:
 
 
 def _parts(visit: Visit) -> dict[str, str]:
-    """Identifier of an element -> its HTML."""
+    """Element identifier -> HTML."""
     module, answers = _module(), visit.answers
     exact, live = answers.get("identify"), answers.get("live")
     answer = exact or live or visit.stale.get("shown")
     settled = exact is not None
     diagnosis = answers.get("diagnose")
-    # one answer a page: where something is wrong, the plate as stated is how it was noticed
+    # one answer per page: if something is wrong, the constants of the plate as stated are folded away
     folded = settled and diagnosis is not None and diagnosis["kind"] != "none" and diagnosis["nothing"] < 0.5
     shares = [*visit.shares.items()][:_MOST_BARS] if visit.doing[0] == "diagnose" else []
     allowing = [_bar(c) for c in diagnosis["constants"]] if diagnosis and folded else []
@@ -177,7 +177,7 @@ def _parts(visit: Visit) -> dict[str, str]:
 
 
 def _commands(visit: Visit) -> list[tuple[str, str]]:
-    """The same on the command line."""
+    """The equivalent commands of the command line."""
     name = shlex.quote(visit.file)
     report = f"cpam-bayes report {name} --quick --out {shlex.quote(f'{Path(visit.file).stem}-report')}"
     return [
@@ -188,7 +188,7 @@ def _commands(visit: Visit) -> list[tuple[str, str]]:
 
 
 def _bar(constant: Mapping[str, Any]) -> Markup:
-    """An interval across the bounds of the search, with the reference."""
+    """An interval bar across the search bounds, with the reference."""
     low, high = map(float, constant["bounds"])
     width, height = _BAR
 
@@ -215,7 +215,7 @@ def _bar(constant: Mapping[str, Any]) -> Markup:
 
 
 def _shape(grid: Sequence[Sequence[int]]) -> Markup:
-    """A mode shape in small: up in one tone, down in the other, stronger where it moves more."""
+    """A thumbnail mode shape: up in one tone, down in another, stronger where it moves more."""
     n = len(grid)
     paths = []
     for level in (-3, -2, -1, 1, 2, 3):
@@ -233,7 +233,7 @@ def _shape(grid: Sequence[Sequence[int]]) -> Markup:
 
 
 def _drawing(visit: Visit) -> Markup:
-    """The plate from above, its edges, what is on it and what was found; millimetres, y upwards."""
+    """The plate from above: edges, attached masses, findings; mm, y upwards."""
     a, b = (_positive(value_at(visit.data, f"plate.{key}_mm")) for key in ("length", "width"))
     if a is None or b is None or max(a, b) > 50.0 * min(a, b):
         return Markup('<p class="hint">Its drawing appears with length and width.</p>')
@@ -278,7 +278,7 @@ def _drawing(visit: Visit) -> Markup:
 
 
 def _places(hold: Mapping[str, Any] | None, width: float, r: float) -> Iterable[str]:
-    """Soft pads as rings, hits as crosses, the sensor as a ring with a point."""
+    """Soft pads as rings, hits as crosses, the sensor as a ring with a dot."""
     if not hold:
         return
     for x, y in hold["pads_mm"]:
@@ -293,7 +293,7 @@ def _places(hold: Mapping[str, Any] | None, width: float, r: float) -> Iterable[
 
 
 def _spectrum(visit: Visit) -> Markup:
-    """The spectrum of the recording with the rows of the list; a click adds a peak or leaves one out."""
+    """The spectrum of the recording with the rows of the list; a click adds or leaves out a peak."""
     found = visit.stale.get("pick")
     if not found or found["recording"] != value_at(visit.data, "measurement.picked_from"):
         return Markup("")

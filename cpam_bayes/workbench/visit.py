@@ -1,4 +1,4 @@
-"""A visit: one plate file on one page, its undo, its draft on disk, and what is computed after an edit."""
+"""A visit: one plate file on one page, with its undo, its draft on disk, and the computations after edits."""
 
 from __future__ import annotations
 
@@ -41,24 +41,24 @@ DRAFTS: Final = ".cpam-bayes"
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+&-]{0,79}\.toml")
 _VISIT: Final = re.compile(r"[0-9a-f]{16}")
 _MOST_TYPED, _MOST_UNDO, _MOST_DRAFTS, _MOST_LISTED = 20_000, 100, 50, 200
-# Seconds within which edits of one field are one step of undo.
+# Edits of one field within this many seconds are one step of undo.
 _ONE_EDIT: Final = 3.0
 LIST_FILES: Final = ("measurement.picked_from", *(f"measurement.{key}" for key in SOURCES[1:]))
-"""Keys of a plate file that name the file with its list."""
-# All that name another file.
+"""Keys of a plate file that name the file of its list."""
+# All keys that name another file.
 _PATHS: Final = ("plate.mesh", "material.posterior", *LIST_FILES)
 _EDGES: Final = "FSC"
 _DROPPED: Final = re.compile(
     r"[A-Za-z0-9][A-Za-z0-9 ._+&()-]{0,79}\.(csv|txt|xlsx|unv|uff|wav)", re.IGNORECASE
 )
 MOST_BYTES: Final = 32_000_000
-"""Of a file that is dropped."""
-# A click on a spectrum is at a frequency that is listed within this part of it, or at the highest line near.
+"""Largest size of a dropped file."""
+# A click on a spectrum selects the listed frequency, or else the highest line, within this fraction.
 _AT: Final = 0.008
 
 
 class EditError(ValueError):
-    """An edit that the page does not make: refused, with nothing changed."""
+    """A refused edit; nothing is changed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,13 +72,13 @@ class Material:
 
 @dataclass(frozen=True, slots=True)
 class Tasks:
-    """Computations of a plate file, called with its text, its name and its folder.
+    """Computations on a plate file, called with its text, name and folder.
 
-    live : the answer about the last optimum, which is its fourth argument
-    hold : where to hold and hit a plate that is not measured yet
-    identify, diagnose, report : as the commands answer; report writes its folder
-    pick : the modes of a recording, which is its fourth argument, and its spectrum
-    batch : the table of plate files, whose names are its text
+    live : answer about the last optimum, its fourth argument
+    hold : where to hold and hit a plate without measurement
+    identify, diagnose, report : as the commands; report writes its folder
+    pick : modes and spectrum of a recording, its fourth argument
+    batch : table of several plate files, whose names are the text
     """
 
     live: Task
@@ -92,10 +92,10 @@ class Tasks:
 
 @dataclass(frozen=True, slots=True)
 class Desk:
-    """The state that all visits share.
+    """State shared by all visits.
 
     folder : of the plate files; nothing outside it is read or written
-    blank : text of an empty plate file; example : of one to look at
+    blank : text of an empty plate file; example : text of an example
     rest : seconds without an edit after which the long computations begin
     """
 
@@ -110,7 +110,7 @@ class Desk:
 
 
 def plate_names(folder: Path) -> list[str]:
-    """The plate files of a folder that the page can open."""
+    """Names of the plate files that the page can open."""
     found = (
         p.name for p in folder.iterdir() if _NAME.fullmatch(p.name) and p.is_file() and not p.is_symlink()
     )
@@ -128,12 +128,12 @@ def _require_name(name: object) -> str:
 
 @dataclass(slots=True, kw_only=True)
 class Work:
-    """What is being computed for a page, and the pages that wait for news of it.
+    """The running computation of a page, and the requests waiting for its news.
 
-    file, text : what the tasks are called with
-    answers : of the tasks, by name, of the text as it is now
-    doing : the task, the fraction that is done, negative where not known, and its stage
-    shares : of what it compares, so far
+    file, text : arguments of the tasks
+    answers : of the tasks, by name, for the current text
+    doing : the task, the fraction done, negative if unknown, and its stage
+    shares : probabilities so far of what is compared
     """
 
     desk: Desk
@@ -148,19 +148,19 @@ class Work:
     _changed: asyncio.Event = field(default_factory=asyncio.Event)
 
     def stop(self) -> None:
-        """End what is being computed."""
+        """End the running computation."""
         work, self._work = self._work, None
         if work is not None:
             work.cancel()
         self.doing = ("", -1.0, "")
 
     def cancel(self) -> None:
-        """End what is being computed at a reader's wish."""
+        """End the running computation on the user's request."""
         self.stop()
         self.tell()
 
     def begin_task(self, task: str, *more: Any) -> None:
-        """Compute one task in place of what is being computed."""
+        """Start a task in place of the running computation."""
         self.stop()
         self._work = asyncio.get_running_loop().create_task(self._asked(task, *more))
         self.tell()
@@ -191,13 +191,13 @@ class Work:
         self.tell()
 
     def tell(self) -> None:
-        """Wake the pages that wait for news."""
+        """Wake the requests waiting for news."""
         self.version += 1
         self._changed.set()
         self._changed = asyncio.Event()
 
     async def news(self, seen: int, seconds: float) -> None:
-        """Return when something is newer than what was seen, or the time is over."""
+        """Return when the version differs from the one seen, or after some seconds."""
         if self.version != seen:
             return
         changed = self._changed
@@ -209,11 +209,11 @@ class Work:
 class Visit(Work):
     """One plate file on one page.
 
-    key : names the visit in addresses
-    file : name of the plate file in the folder; saved : its text there, None while it is not there
-    structure : counts the edits after which the form is drawn anew
-    stale : the last answers of a former text, and the spectrum of the recording
-    dropped : recording whose modes are looked for
+    key : identifies the visit in addresses
+    file : name of the plate file in the folder; saved : its text on disk, None if not saved yet
+    structure : number of edits that required a new form
+    stale : last answers to an earlier text, and the spectrum of the recording
+    dropped : recording that is searched for modes
     """
 
     key: str
@@ -231,7 +231,7 @@ class Visit(Work):
 
     @classmethod
     def opened(cls, desk: Desk, name: str | None, text: str | None = None) -> Visit:
-        """A visit of a file of the folder, or of a text that is not saved yet; raises ``EditError``."""
+        """A visit of a file of the folder, or of an unsaved text; raises ``EditError``."""
         key = secrets.token_hex(8)
         if text is not None:
             return cls(desk=desk, key=key, file=_free_name(desk.folder, name or "plate.toml"), text=text)
@@ -246,7 +246,7 @@ class Visit(Work):
 
     @classmethod
     def restored(cls, desk: Desk, key: str) -> Visit:
-        """A visit as it was left; raises ``EditError`` where nothing is kept of it."""
+        """A visit restored from its draft; raises ``EditError`` where there is none."""
         if not _VISIT.fullmatch(key):
             raise EditError("no such visit")
         try:
@@ -261,19 +261,19 @@ class Visit(Work):
 
     @property
     def data(self) -> dict[str, Any]:
-        """The values of the plate file."""
+        """Values of the plate file."""
         return content(self.text)
 
     @property
     def edges(self) -> str:
-        """The four letters of the edges; F where the text has none that can be read."""
+        """The four edge letters; FFFF where the text has no readable ones."""
         if self.specimen is not None:
             return self.specimen.plate.edges
         given = value_at(self.data, "plate.edges")
         return given if isinstance(given, str) and len(given) == 4 and set(given) <= set(_EDGES) else "FFFF"
 
     def edit(self, change: Mapping[str, Any]) -> None:
-        """Make one edit and begin what follows from it; raises ``EditError``."""
+        """Make one edit and start the computations after it; raises ``EditError``."""
         what = change.get("do")
         if what == "undo" or what == "redo":
             source, other = (self.before, self.undone) if what == "undo" else (self.undone, self.before)
@@ -296,7 +296,7 @@ class Visit(Work):
 
     @property
     def rows(self) -> list[Row]:
-        """The rows of the list, in the plate file or in the file that it names."""
+        """Rows of the list, from the plate file or from the file that it names."""
         measurement = self.specimen.measurement if self.specimen is not None else None
         if measurement is None or value_at(self.data, "measurement.frequencies_hz") is not None:
             return rows_in(self.data)
@@ -305,9 +305,9 @@ class Visit(Work):
         return [Row(f"{f:.10g}", left_out=i in out) for i, f in enumerate(whole.frequencies, 1)]
 
     def take(self, name: str, content_of: bytes) -> str:
-        """Put a dropped file into the folder and its frequencies into the plate; raises ``EditError``.
+        """Save a dropped file in the folder and use its frequencies; raises ``EditError``.
 
-        A table or a universal file is named in the plate file; a recording's modes become its list.
+        A table or universal file is named in the plate file; the modes of a recording become its list.
         """
         if not _DROPPED.fullmatch(name):
             accepted = "a file .csv .txt .xlsx .unv .uff or .wav whose name has letters, digits and ._+&()-"
@@ -337,7 +337,7 @@ class Visit(Work):
         return f"{name} is the list"
 
     async def _picked(self) -> None:
-        """The spectrum of the recording; of one that was dropped now the modes become the list."""
+        """Compute the spectrum of the recording; the modes of a newly dropped one become the list."""
         name = self.dropped or value_at(self.data, "measurement.picked_from")
         if not isinstance(name, str) or (self.stale.get("pick") or {}).get("recording") == name:
             return
@@ -355,7 +355,7 @@ class Visit(Work):
         self.tell()
 
     def cancel(self) -> None:
-        """End what is being computed at a reader's wish."""
+        """End the running computation on the user's request."""
         self.dropped = ""
         Work.cancel(self)
 
@@ -368,7 +368,7 @@ class Visit(Work):
         self.begin()
 
     def begin(self) -> None:
-        """Check the text, and compute what it says, in place of all that was being computed."""
+        """Check the text, and start its computations in place of the running one."""
         self.stop()
         shown = self.answers.get("identify") or self.answers.get("live") or self.stale.get("shown")
         self.stale = {**self.stale, **self.answers, "shown": shown}
@@ -381,7 +381,7 @@ class Visit(Work):
         self.tell()
 
     async def _guided(self) -> None:
-        """Where to hold and hit, while the plate has no frequencies."""
+        """Find where to hold and hit a plate without frequencies."""
         desk = self.desk
         with suppress(RefusedError):
             self.answers["hold"] = await desk.live.run(
@@ -392,7 +392,7 @@ class Visit(Work):
             await self._picked()
 
     def ask(self, task: str) -> None:
-        """Compute one task again, or one that waits to be asked for; raises ``EditError``."""
+        """Compute one task again, or one that runs on request; raises ``EditError``."""
         if self.specimen is None or self.specimen.measurement is None:
             raise EditError("the plate file is not complete yet")
         self.begin_task(task)
@@ -423,7 +423,7 @@ class Visit(Work):
             self.gaps, self.others = tuple(gaps), tuple(others) or (() if error.found else error.problems)
 
     async def _answered(self) -> None:
-        """The live answer at once; after a rest that of the command, and then the diagnosis."""
+        """Compute the live answer at once; after a rest that of the command, then the diagnosis."""
         desk = self.desk
         try:
             optimum = self.stale.get("optimum")
@@ -442,7 +442,7 @@ class Visit(Work):
             await self._long("diagnose")
 
     def keep(self) -> None:
-        """Write the draft: what a reload or a killed server finds again."""
+        """Write the draft, from which a reload or a new server restores the visit."""
         kept = {"file": self.file, "text": self.text, "saved": self.saved, "before": self.before[-20:]}
         folder = self.desk.folder / DRAFTS
         with suppress(OSError):  # a folder that cannot be written to: the page goes on without
@@ -453,7 +453,7 @@ class Visit(Work):
                 path.unlink()
 
     def save(self, name: object) -> str:
-        """Write the plate file into the folder, and return what was done; raises ``EditError``."""
+        """Save the plate file in the folder and return what was done; raises ``EditError``."""
         path = self.desk.folder / _require_name(name)
         if path.name != self.file and os.path.lexists(path):
             raise EditError(f"{path.name}: exists; give another name")
@@ -523,9 +523,9 @@ def _edited(visit: Visit, what: object, change: Mapping[str, Any]) -> str:
 
 
 def _with_row(visit: Visit, rows: list[Row], what: str, change: Mapping[str, Any]) -> list[Row]:
-    """The rows with one typed anew, switched, or put or taken away by a click on the spectrum.
+    """The rows after one was edited, switched, or added or left out by a click on the spectrum.
 
-    What was picked from a recording is left out and not deleted, so that the file tells.
+    Rows picked from a recording are left out, not deleted, so that the file records it.
     """
     is_picked = value_at(visit.data, "measurement.picked_from") is not None
     if what == "peak":
@@ -556,7 +556,7 @@ def _with_row(visit: Visit, rows: list[Row], what: str, change: Mapping[str, Any
 
 
 def _switched(rows: list[Row], index: int, left_out: bool) -> list[Row]:
-    """The rows with one left out or not; one that was added by hand goes when it is left out."""
+    """The rows with one left out or taken back; a row added by hand is removed instead."""
     if left_out and rows[index].by_hand:
         return [*rows[:index], *rows[index + 1 :]]
     return [*rows[:index], replace(rows[index], left_out=left_out), *rows[index + 1 :]]
@@ -604,7 +604,7 @@ def _index(value: object, most: int) -> int:
 
 
 def _inside(value: object) -> bool:
-    """Whether what a key names stays in the folder of the plate file."""
+    """Whether the paths under a key stay in the folder of the plate file."""
     names: Sequence[object] = value if isinstance(value, list) else [value]
     return all(
         not isinstance(name, str)
@@ -614,7 +614,7 @@ def _inside(value: object) -> bool:
 
 
 def _free_name(folder: Path, name: str) -> str:
-    """A name of the folder that no file has yet."""
+    """A file name not yet used in the folder."""
     stem = Path(name).stem
     for k in range(1, 1000):
         free = f"{stem}.toml" if k == 1 else f"{stem}-{k}.toml"

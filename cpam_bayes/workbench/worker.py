@@ -1,6 +1,6 @@
-"""Processes of their own for what a page computes, which can be ended at any moment.
+"""Worker processes for the computations of a page, which can be ended at any moment.
 
-A process is kept for the next computation; one that was ended is replaced when it is needed.
+A process is kept for the next computation; an ended one is replaced when needed.
 """
 
 from __future__ import annotations
@@ -18,31 +18,31 @@ from cpam_bayes.render.terminal import Clock
 from cpam_bayes.running import Described, Progress
 
 Tell: TypeAlias = Callable[..., None]
-"""Is told the fraction that is done, negative where not known, what is being done, and shares so far."""
+"""Called with the fraction done, negative if unknown, the current activity, and probabilities so far."""
 
 
 Task: TypeAlias = Callable[..., Any]
-"""A function of a module, called in another process with plain data and ``tell``, a `Tell`.
+"""A module-level function, called in another process with plain data and ``tell``, a `Tell`.
 
-It raises ``ValueError`` for what the user can mend.
+It raises ``ValueError`` for errors that the user can correct.
 """
 
 
 class RefusedError(Exception):
-    """A computation's problems, one each, for which there is no answer."""
+    """The problems for which a computation has no answer, one argument each."""
 
     def __init__(self, *problems: str) -> None:
         super().__init__(*problems)
 
 
 class Shown:
-    """A watch (`cpam_bayes.running`) whose stages are told as fractions."""
+    """A watch (`cpam_bayes.running`) that reports stages as fractions."""
 
     def __init__(self, tell: Tell) -> None:
         self._tell = tell
 
     def announce(self, text: str) -> None:
-        """Tell what begins."""
+        """Report what begins."""
         self._tell(-1.0, text)
 
     promise = announce
@@ -51,7 +51,7 @@ class Shown:
     def stage(
         self, title: str, total: int, described: Described | None = None, counted: str = ""
     ) -> Iterator[Progress]:
-        """Tell how far one stage is, and how long the rest takes."""
+        """Report the progress of a stage and its remaining time."""
         clock = Clock(total)
 
         def tick(done: int, value: float) -> None:
@@ -66,7 +66,7 @@ class Shown:
 
 
 def _serve(pipe: Connection) -> None:
-    """Compute what comes down the pipe until it is closed."""
+    """Run tasks from the pipe until it is closed."""
     with suppress(AttributeError, OSError):
         os.setsid()  # Ctrl-C at the terminal is for the server, which then ends this process and its children
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -83,10 +83,10 @@ def _serve(pipe: Connection) -> None:
 
 
 class Worker:
-    """One process at most, made when it is first needed.
+    """At most one process, started when first needed.
 
-    patience : seconds for which a task that was given up may go on before its process is ended; a process
-        that stays has its models, so that short work is answered sooner after a short wait
+    patience : seconds that an abandoned task may run on before its process is ended; a process that survives
+        keeps its models, which speeds up later short tasks
     """
 
     def __init__(self, patience: float = 0.0) -> None:
@@ -97,9 +97,9 @@ class Worker:
         self._given_up: asyncio.Future[tuple[str, Any]] | None = None
 
     async def run(self, task: Task, *args: Any, tell: Tell = lambda *said: None) -> Any:
-        """The answer of a task, which is given up if this call is cancelled.
+        """The result of a task, which is abandoned if this call is cancelled.
 
-        Raises ``RefusedError`` with what the task refused, or that its process was lost.
+        Raises ``RefusedError`` with the problems of the task, or if its process was lost.
         """
         async with self._turn:
             while self._given_up is not None:
@@ -145,7 +145,7 @@ class Worker:
         self._pipe.send((task, args))
 
     def stop(self) -> None:
-        """End the process and those that it began."""
+        """End the process and its children."""
         process, self._process = self._process, None
         if process is not None and process.is_alive():
             with suppress(OSError, AttributeError):
@@ -155,7 +155,7 @@ class Worker:
 
 
 class Pool:
-    """Workers that long computations of all visits share; one that finds none free waits."""
+    """Workers shared by the long computations of all visits; a caller waits for a free one."""
 
     def __init__(self, size: int) -> None:
         self._workers = [Worker() for _ in range(size)]
@@ -165,7 +165,7 @@ class Pool:
 
     @asynccontextmanager
     async def worker(self) -> AsyncIterator[Worker]:
-        """A worker that nobody else uses."""
+        """A worker for exclusive use."""
         taken = await self._free.get()
         try:
             yield taken
@@ -173,6 +173,6 @@ class Pool:
             self._free.put_nowait(taken)
 
     def stop(self) -> None:
-        """End all."""
+        """End all workers."""
         for worker in self._workers:
             worker.stop()

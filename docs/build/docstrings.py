@@ -1,7 +1,7 @@
-"""Docstrings as the API page shows them (an extension of griffe, which mkdocstrings reads them with).
+"""Format docstrings for the API page: an extension of griffe, with which mkdocstrings reads them.
 
-The package writes ``name : what it is``, one a line, in sections and in plain paragraphs. numpydoc would take
-what is behind the colon for a type; the types stand in the signatures.
+The package writes ``name : description``, one per line, in sections and in plain paragraphs. numpydoc would
+take the text after the colon for a type; the types stand in the signatures.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _SECTION = re.compile(r"^-{3,}$", re.MULTILINE)
 
 
 class FieldLists(griffe.Extension):
-    """Lists for fields of plain paragraphs, descriptions for those of sections."""
+    """Turn fields in plain paragraphs into lists, and complete the descriptions of those in sections."""
 
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
         """Change the docstring of an object before it is shown."""
@@ -30,7 +30,7 @@ class FieldLists(griffe.Extension):
 
 
 def _described(field: Any, obj: griffe.Object) -> None:
-    """Move what was taken for a type in front of the description."""
+    """Move text that was taken for a type to the front of the description."""
     text = str(field.annotation or "")
     names = [name.strip() for name in field.name.split(",")]
     known = {parameter.name: parameter.annotation for parameter in getattr(obj, "parameters", ())}
@@ -41,7 +41,7 @@ def _described(field: Any, obj: griffe.Object) -> None:
 
 
 def _listed(text: str) -> str:
-    """The paragraphs of fields as lists, up to the first section with a line under its title."""
+    """Text with its paragraphs of fields as lists, up to the first section with an underlined title."""
     section = _SECTION.search(text)
     head, tail = (text, "") if section is None else _split_before_title(text, section.start())
     return "\n\n".join(_as_list(paragraph) for paragraph in head.split("\n\n")) + tail

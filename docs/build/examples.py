@@ -1,17 +1,17 @@
-"""The examples of the documentation: run, compared with what stands in the page, written anew.
+"""Run the examples of the documentation, compare them with the pages, and rewrite their outputs.
 
     python docs/build/examples.py docs/tutorial.md ...
 
-runs the examples of the pages and writes the outputs and pictures into them. The tests run the same examples
-and compare. The examples of a page run from top to bottom, in a directory of their own:
+runs the examples of the pages and writes their outputs and pictures into them. The tests run the same
+examples and compare. The examples of a page run from top to bottom, in a directory of their own:
 
-- a block with ``title="NAME"`` is a file that is written; with ``title="added to NAME"`` it is added to one;
-- a ``python`` block runs in one session a page; an expression with ``# -> value`` at its end has that value;
+- a block with ``title="NAME"`` is written to a file; with ``title="added to NAME"`` it is appended to one;
+- the ``python`` blocks of a page share a session; an expression that ends in ``# -> value`` has that value;
 - a line ``$ COMMAND`` of a ``console`` block runs in a shell, and what follows is what it prints;
-  one that ends with `` &`` runs until the page ends;
+  a command that ends with `` &`` runs until the page ends;
 - ``<!-- show: TITLE | TITLE -->`` before such a block keeps the named parts of a screen and puts "..."
   for others;
-- ``<!-- picture: FILE -->`` before an image says which file of the examples it is.
+- ``<!-- picture: FILE -->`` before an image names the file of the examples that it shows.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _BLOCK = re.compile(
     re.MULTILINE | re.DOTALL,
 )
 _TITLE = re.compile(r'title="(?P<added>added to )?(?P<name>[^"]+)"')
-# Seconds, and rates over them, differ from run to run.
+# Durations, and rates per second, differ from run to run.
 _TIMES = re.compile(r"\d[\d.]*(?= s\b)|\d+(?= effective samples a second)|\d+(?= in all$)")
 _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 _OTHERS = "..."
@@ -44,7 +44,7 @@ _WIDTH = 100
 
 
 class ExampleError(AssertionError):
-    """An example that fails, or one whose output is not what the page says."""
+    """An example that fails, or whose output differs from the page."""
 
 
 @dataclass
@@ -56,7 +56,7 @@ class _Session:
 
 
 def check(page: Path, directory: Path) -> int:
-    """Run the examples of a page in a directory and compare; how many there were.
+    """Run the examples of a page in a directory, compare them with the page, and return how many there were.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def write(page: Path) -> None:
 
 
 def _run(page: Path, directory: Path, *, pictures: bool = False) -> tuple[str, int]:
-    """The text of a page with its outputs as they are now, and the number of examples."""
+    """Text of a page with its current outputs, and the number of examples."""
     session = _Session(directory, page, {}, [])
     parts, end, count = [], 0, 0
     text = page.read_text("utf-8")
@@ -116,12 +116,12 @@ def _block(session: _Session, match: re.Match[str]) -> str:
 
 
 def run_block(text: str, names: dict[str, Any]) -> None:
-    """Run Python; an expression with ``# -> value`` at its end has that value.
+    """Run Python code and check each expression that ends in ``# -> value``.
 
     Raises
     ------
     ExampleError
-        If a value is another one.
+        If a value differs.
     """
     lines = text.splitlines()
     for statement in ast.parse(text).body:
@@ -138,7 +138,7 @@ def run_block(text: str, names: dict[str, Any]) -> None:
 
 
 def _console(session: _Session, text: str, show: str | None) -> Iterator[str]:
-    """The commands of a block, each with what it prints now."""
+    """Commands of a block, each followed by its current output."""
     commands = [line for line in text.splitlines() if line.startswith("$ ")]
     for i, command in enumerate(commands):
         if i and not commands[i - 1].endswith(" &"):
@@ -155,13 +155,13 @@ def _console(session: _Session, text: str, show: str | None) -> Iterator[str]:
 
 
 def _environment() -> dict[str, str]:
-    """That of a shell with the programs beside this Python."""
+    """Environment of a shell with the programs beside this Python on its path."""
     programs = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
     return os.environ | {"PATH": programs, "PYTHONWARNINGS": "ignore"}
 
 
 def _started(command: str) -> subprocess.Popen[bytes]:
-    """A program that runs until the page ends, with those that it starts."""
+    """Start a program, in a session of its own, that runs until the page ends."""
     return subprocess.Popen(
         ["bash", "-c", command],
         env=_environment(),
@@ -172,7 +172,7 @@ def _started(command: str) -> subprocess.Popen[bytes]:
 
 
 def _output(command: str) -> str:
-    """What a command prints, progress left out."""
+    """Output of a command, without its progress messages."""
     done = subprocess.run(
         ["bash", "-c", command],
         env=_environment(),
@@ -180,7 +180,7 @@ def _output(command: str) -> str:
         text=True,
         timeout=1800,
     )
-    # 2 is an error that the page may want to show
+    # status 2 is an error that the page may want to show
     if done.returncode not in (0, 2):
         raise ExampleError(f"{command}: exit status {done.returncode}\n{done.stdout}{done.stderr}")
     said = [line for line in done.stderr.splitlines() if line.startswith(("error:", "warning:", "    "))]
@@ -188,7 +188,7 @@ def _output(command: str) -> str:
 
 
 def folded(line: str) -> str:
-    """A long sentence of a screen in several lines; rows of tables, which have gaps, as they are."""
+    """A long sentence of a screen, wrapped; rows of tables, which contain gaps, stay as they are."""
     indent = line[: len(line) - len(line.lstrip())]
     if len(line) <= _WIDTH or "  " in line.strip():
         return line
@@ -203,7 +203,7 @@ def folded(line: str) -> str:
 
 
 def shortened(screen: str, titles: list[str]) -> str:
-    """The parts of a screen whose first line begins with a title, "..." for the others.
+    """Those parts of a screen whose first line begins with one of the titles, "..." for the others.
 
     Raises
     ------
@@ -236,7 +236,7 @@ def _picture(session: _Session, match: re.Match[str], write_it: bool) -> str:
 
 
 def _alike(documented: str, now: str) -> bool:
-    """Whether two texts differ in times, and in the last digits of numbers, alone."""
+    """Whether two texts differ only in durations and in the last digits of numbers."""
     old, new = (_TIMES.sub("0", _spaced(text)) for text in (documented, now))
     if _NUMBER.sub("0", old) != _NUMBER.sub("0", new):
         return False
@@ -244,12 +244,12 @@ def _alike(documented: str, now: str) -> bool:
 
 
 def _spaced(text: str) -> str:
-    """The text with its columns as wide as one space: a longer time makes a column wider."""
+    """Text with each column gap reduced to one space: a longer duration makes a column wider."""
     return re.sub(r"[ ─━]+", " ", text)
 
 
 def _near(documented: str, now: str) -> bool:
-    """Whether two numbers are the same but for one unit of the last digit, which rounding decides."""
+    """Whether two numbers differ by at most one unit of the last digit, which rounding decides."""
     (decimals, exponent), others = _last_digit(documented), _last_digit(now)
     if (decimals, exponent) != others:
         return False
@@ -257,7 +257,7 @@ def _near(documented: str, now: str) -> bool:
 
 
 def _last_digit(number: str) -> tuple[int, int]:
-    """Decimals of the mantissa, and exponent."""
+    """Number of decimals of the mantissa, and the exponent."""
     mantissa, _, exponent = number.partition("e")
     return len(mantissa.partition(".")[2]), int(exponent or 0)
 
@@ -272,7 +272,7 @@ def _difference(documented: str, now: str) -> str:
 
 
 def main() -> None:
-    """Write the outputs of the pages that the command line names."""
+    """Rewrite the outputs of the pages named on the command line."""
     if len(sys.argv) < 2 or sys.argv[1].startswith("-"):
         print(__doc__)
         return

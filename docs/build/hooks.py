@@ -1,4 +1,4 @@
-"""What the site needs beside its pages: figures of the repository, equations, and no network.
+"""Hooks that give the site its figures and equations and keep it off the network.
 
 mkdocs calls these functions (`hooks` in mkdocs.yml). The pages stay readable as they lie in the repository:
 they link figures as ``../figures/x.png`` and write equations as ``$...$``.
@@ -20,12 +20,12 @@ from cpam_bayes.documents import DOCUMENTS, json_schema
 
 _PROJECT = Path(__file__).parents[2]
 
-# ](../figures/x.png) of a page; the site has the same files under figures/
+# ](../figures/x.png) in a page; the site has the same files under figures/
 _FIGURE_LINK = re.compile(r"(?<=\]\()\.\./(?=figures/[\w.]+\.png\))")
 _EQUATION = re.compile(
     r'<(?P<tag>span|div) class="arithmatex">\\(?P<open>[(\[])(?P<latex>.*?)\\[)\]]</(?P=tag)>', re.DOTALL
 )
-# What a browser fetches by itself; a link is fetched when it is followed
+# What a browser fetches by itself; an ordinary link is fetched only when it is followed
 _FETCHED = re.compile(
     r'<(?:script|img|iframe|source)\b[^>]*?\ssrc="?(?://|https?:)[^">\s]*'
     r'|<link\b(?=[^>]*\brel="?(?:stylesheet|preconnect|preload|icon))[^>]*?\shref="?(?://|https?:)[^">\s]*'
@@ -44,7 +44,7 @@ def on_files(files: Any, *, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Let links to figures point to those of the site."""
+    """Redirect links to figures to those of the site."""
     return _FIGURE_LINK.sub("", markdown)
 
 
@@ -54,7 +54,7 @@ def on_page_content(content: str, **_: Any) -> str:
 
 
 def on_post_page(output: str, *, page: Any, **_: Any) -> str:
-    """Refuse a page that fetches from a network, and one with an equation left as it was written."""
+    """Refuse a page that fetches from a network, or that still contains an equation in its source form."""
     if fetched := _FETCHED.search(output):
         raise PluginError(f"{page.file.src_uri}: fetched from a network: {fetched.group()}")
     if "arithmatex" in output:

@@ -1,10 +1,10 @@
-"""Pictures of the report of C1 for the tutorial, and of the page.
+"""Screenshots of the report of C1 for the tutorial, and of the app's page.
 
     python docs/build/screenshots.py [PAGE]
     python docs/build/screenshots.py --app RECORDING
 
-computes the report with seed 0, or takes the page of one that was computed, and needs the program chromium.
-With `--app` the pictures are those of `cpam-bayes app`: its example, and a recorded hit with a pick left out.
+computes the report with seed 0, or takes the page of an existing report, and needs the program chromium.
+With `--app` the pictures are of `cpam-bayes app`: its example, and a recorded hit with one pick left out.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ PROJECT: Final = Path(__file__).parents[2]
 PICTURES: Final = PROJECT / "docs" / "pictures"
 # Name of the picture -> width and height of the window, CSS pixels.
 WINDOWS: Final = {"report_C1_wide": (1100, 1500)}
-# Colours of a palette that is enough for text, marks and thin lines.
+# Number of colours in the palette: enough for text, marks and thin lines.
 _COLOURS: Final = 128
 
 
 def photograph(page: Path, directory: Path) -> list[Path]:
-    """Write one picture a window, and return where they are."""
+    """Write one picture per window, and return their paths."""
     sys.path.insert(0, str(PROJECT))
     from tests.browser import open_browser
 
@@ -49,7 +49,7 @@ def photograph(page: Path, directory: Path) -> list[Path]:
 
 
 def photograph_app(recording: Path, directory: Path) -> list[Path]:
-    """Write the pictures of the page: the claim of its example, and the picks of a recording."""
+    """Write the pictures of the app: the claim of its example, and the picks of a recording."""
     sys.path.insert(0, str(PROJECT))
     from tests.browser import open_browser
 

@@ -1,9 +1,9 @@
-"""The picture of real recordings with the modes that `poles` finds and the peaks that were published.
+"""The picture of real recordings with the modes that `poles` finds and the published peaks.
 
     python docs/build/spectra.py DIR
 
 DIR holds a hit on a clamped copper plate, ``copper_H1.wav``, hits on plates of spruce, ``hammer_*.npz``, and
-their published peaks, ``spruce_plates.csv``. These recordings are not part of the package; the picture is.
+their published peaks, ``spruce_plates.csv``. The recordings are not part of the package; the picture is.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ WITHIN: Final = 0.03
 
 
 def spruce(folder: Path) -> dict[str, np.ndarray]:
-    """The published peaks of the plates that have recordings, Hz."""
+    """Published peaks, Hz, of the plates that have recordings."""
     rows = (folder / "spruce_plates.csv").read_text(encoding="utf-8").splitlines()
     cells = [row.split(",") for row in rows if row and not row.startswith("#")]
     at = cells[0].index("frequencies_hz")
@@ -40,7 +40,7 @@ def spruce(folder: Path) -> dict[str, np.ndarray]:
 
 
 def hits_of(recording: Path, folder: Path) -> Path:
-    """A folder of .wav files, force and response, of a file of hits."""
+    """Write the hits of a file as a folder of .wav files, each with force and response."""
     hits = folder / recording.stem
     hits.mkdir()
     with np.load(recording) as arrays:
@@ -50,7 +50,7 @@ def hits_of(recording: Path, folder: Path) -> Path:
 
 
 def draw(axes: Axes, result: cb.PolesResult, published: np.ndarray, within: np.ndarray, title: str) -> None:
-    """A spectrum; published : Hz, of which one within so many Hz of a mode or of its peak is found."""
+    """Draw a spectrum; a published peak (Hz) is found if ``within`` Hz from a mode's pole or peak."""
     test = result.test
     for hit in test.responses.each_hit:
         axes.semilogy(*line_sizes(test, hit.frf), color="0.6", linewidth=0.5, rasterized=True, label="a hit")
@@ -63,7 +63,7 @@ def draw(axes: Axes, result: cb.PolesResult, published: np.ndarray, within: np.n
     axes.plot(published, np.ones(len(published)), "v", label="published peak", **marks)
 
     at = np.array([(mode.frequency, mode.peak) for mode in result.modes])
-    # modes, published, by the pole or by its peak
+    # modes, published peaks, pole or peak
     near = np.abs(at[:, None] - published[:, None]) <= within[:, None]
     by_pole, by_peak = near.any(axis=0).sum(axis=0)
     further = int(np.sum(~near.any(axis=(1, 2))))
@@ -80,7 +80,7 @@ def draw(axes: Axes, result: cb.PolesResult, published: np.ndarray, within: np.n
 
 
 def main() -> None:
-    """Draw one spectrum a plate, one below the other."""
+    """Draw one spectrum per plate, one below the other."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path, metavar="DIR", help="the folder of the recordings")
     folder = parser.parse_args().folder

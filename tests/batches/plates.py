@@ -15,7 +15,7 @@ N_MODES = 6
 
 
 def plate(name: str, e1: float = 70.0, nu12: float = 0.33, **sizes: float) -> dict[str, Any]:
-    """A plate with the exact list of other constants than its reference, 69 GPa and 0.33."""
+    """A plate with the exact list of these constants; its file states the reference, 69 GPa and 0.33."""
     described: dict[str, Any] = {
         "name": name,
         "plate": {**SIZES, **sizes, "edges": "FFFF"},
@@ -28,19 +28,16 @@ def plate(name: str, e1: float = 70.0, nu12: float = 0.33, **sizes: float) -> di
 
 
 def with_noise(described: Mapping[str, Any], rng: np.random.Generator, std: float = 0.002) -> dict[str, Any]:
-    """The plate with a noisy list."""
     f = np.array(described["measurement"]["frequencies_hz"])
     noisy = (f * (1.0 + std * rng.standard_normal(len(f)))).tolist()
     return {**described, "measurement": {**described["measurement"], "frequencies_hz": noisy}}
 
 
 def exact(described: Mapping[str, Any]) -> dict[str, Any]:
-    """The plate with sizes and density that are exact."""
     return {**described, "plate": {**described["plate"], "sd": dict.fromkeys(SIZES, 0.0)}}
 
 
 def written(path: Path, described: Mapping[str, Any]) -> Path:
-    """The plate as a file."""
     sizes = dict(described["plate"])
     tables = {**described, "plate.sd": sizes.pop("sd", {}), "plate": sizes}
     lines = [f'name = "{described["name"]}"']

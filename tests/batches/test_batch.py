@@ -25,7 +25,6 @@ from tests.plate_file import refused
 
 
 def measured(c_mm, g_mm, **plate):
-    """A hybrid of 3 mm with plies of these thicknesses."""
     file = hybrid(**plate)
     file["ply"][0]["thickness_mm"], file["ply"][1]["thickness_mm"] = c_mm, g_mm
     listed = {"frequencies_hz": [109.3, 202.1, 248.2], "relative_std": 0.002}
@@ -33,18 +32,15 @@ def measured(c_mm, g_mm, **plate):
 
 
 def without_store(result):
-    """The document of the plates, without what a store changes of it."""
     return {**result.to_dict(), "seconds": 0, "from_store": 0}
 
 
 def moments(marginal, values):
-    """Mean and standard deviation of a probability on a grid."""
     mean = float(marginal @ values)
     return mean, float(np.sqrt(marginal @ (values - mean) ** 2))
 
 
 def on_grid(density, *axes):
-    """The probabilities of a density on a grid of two parameters."""
     x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     log_p = density.log_prob(x.reshape(-1, 2))
     p = np.exp(log_p - log_p.max()).reshape(x.shape[:2])
@@ -92,11 +88,10 @@ def test_the_control_limits_are_those_of_medians_and_three_standard_deviations()
     """Flow rates of NIST/SEMATECH e-Handbook of Statistical Methods, 6.3.2.2."""
     flow = [49.6, 47.6, 49.9, 51.3, 47.8, 51.2, 52.6, 52.4, 53.6, 52.1]
     chart = control_chart(flow)
-    # ranges of neighbours 2.0 2.3 1.4 3.5 3.4 1.4 0.2 1.2 1.5
-    assert chart.median == pytest.approx(51.25)
+    assert chart.median == pytest.approx(51.25)  # moving ranges 2.0 2.3 1.4 3.5 3.4 1.4 0.2 1.2 1.5
     assert chart.limits == pytest.approx((51.25 - 3 * 1.0484 * 1.5, 51.25 + 3 * 1.0484 * 1.5))
     assert (chart.outside, control_chart(flow[:2])) == ((), None)
-    # two bad ones of nine, side by side: limits from means, 140.9 +- 16.4, would hold one of them
+    # two bad ones of nine, adjacent: limits from means, 140.9 +- 16.4, would include one of them
     moduli = [135.2, 137.1, 136.0, 157.0, 158.1, 136.3, 135.5, 136.9, 136.8]
     assert control_chart(moduli).outside == (3, 4)
     normal = control_chart(np.random.default_rng(1).normal(50.0, 2.0, 20_000).tolist())
@@ -109,8 +104,7 @@ def test_a_thin_plate_goes_with_its_thickness_its_density_and_its_area_and_carri
     thickness, density, length, width = powers.T
     np.testing.assert_allclose(thickness, 1.0, atol=2e-3)
     np.testing.assert_allclose(density, -0.5, atol=1e-9)
-    # all of bending: lengths taken together have the power -2, less the shear of a plate of 1/260
-    np.testing.assert_allclose(length + width, -2.0, atol=2e-3)
+    np.testing.assert_allclose(length + width, -2.0, atol=2e-3)  # bending minus the shear of a plate of 1/260
     first, other = (cb.read_plate(plate("p", thickness_mm=h)) for h in (3.0, 3.1))
     moved = carried(other, first, size_powers(first, N_MODES))
     assert moved.measurement.relative_std == 0.002
@@ -139,7 +133,7 @@ def test_plates_that_differ_by_more_than_sizes_share_no_model_and_no_stored_row(
     specimens = [cb.read_plate(p) for p in (first, thick, alike, clamped, labelled, labelled)]
     plies = [measured(0.25, 0.375), measured(0.25, 0.375, thickness_mm=3.02), measured(0.3, 0.3)]
     assert groups_of([*specimens, *plies]) == [[0, 2], [1], [3], [4], [5], [6, 7], [8]]
-    weighed = [measured(c, g, mass_g=310.0) for c, g in ((0.25, 0.375), (0.3, 0.3))]  # of one density
+    weighed = [measured(c, g, mass_g=310.0) for c, g in ((0.25, 0.375), (0.3, 0.3))]  # of equal density
     assert len({row_key(plate, 0, False, "") for plate in weighed}) == 2
 
 
@@ -245,7 +239,7 @@ def test_a_folder_of_plates_has_its_four_verdicts_first_and_a_certificate(tmp_pa
     )
     page, row = result.texts()["certificate.html"], result.rows[4]
     used, whole = row.constants[0], row.all_rows[0]
-    assert whole.sd < used.sd  # of six frequencies, not five
+    assert whole.sd < used.sd  # six frequencies, not five
     shown = f"{whole.text} GPa".replace("+-", "±").replace(" ", "\N{NO-BREAK SPACE}")
     for part in (
         "the probability of meeting every limit is 0.95 or more",
@@ -271,13 +265,12 @@ def test_a_folder_of_plates_has_its_four_verdicts_first_and_a_certificate(tmp_pa
 def test_a_cause_that_a_diagnosis_names_is_said_before_a_slip_of_the_list(claim, causes, said):
     found = plate_row.PlateDiagnosis(claim, causes, 0.95, 0.0, 0.007)
     row = plate_row.PlateRow("b.toml", "b", "done", "", misfit=3.0, slip=("misread", 9), diagnosis=found)
-    result = BatchResult.__new__(BatchResult)  # no limit is asked for where the model does not fit
+    result = BatchResult.__new__(BatchResult)  # no limit is needed where the model does not fit
     assert why_not_judged(result, row) == said
     assert why_not_judged(result, replace(row, slip=("sides", 0), diagnosis=None)).startswith("length and")
 
 
 def certificate(result):
-    """The tables of the certificate: what each plate has of its own, what all share."""
     return next(s for s in result.report().sections if s.title == CERTIFICATE).tables
 
 
@@ -296,7 +289,7 @@ def test_a_certificate_ties_specimen_and_date_to_their_plate_and_says_once_what_
 
 @pytest.mark.slow
 def test_moduli_and_mass_that_go_together_are_a_thickness():
-    """A weighed plate that is 4 % thinner than stated has 4 % less mass and moduli 11 to 12 % too low."""
+    """A weighed plate 4 % thinner than stated has 4 % less mass and moduli 11 to 12 % too low."""
 
     def weighed(name, e1, thin=1.0, stated=3.0):
         described = plate(name, e1, thickness_mm=stated * thin)
@@ -416,8 +409,7 @@ def test_the_chains_have_the_posterior_that_a_grid_gives():
         (scatter, p.sum(axis=0), found.scatter),
     ):
         expected, spread = moments(marginal, values_of)
-        # a thousand effective draws know a mean to 3 % of the spread, a quantile to some 6 %
-        assert m == pytest.approx(expected, abs=0.12 * spread)
+        assert m == pytest.approx(expected, abs=0.12 * spread)  # mean to 3 % of the spread, quantiles to 6 %
         assert sd == pytest.approx(spread, rel=0.12)
         exact = np.interp((0.025, 0.975), np.cumsum(marginal), values_of)
         assert quantiles == pytest.approx(exact, abs=0.25 * spread)
@@ -428,12 +420,11 @@ def test_the_chains_have_the_posterior_that_a_grid_gives():
 
 def test_plates_that_do_not_scatter_have_a_small_one_and_open_constants_the_prior():
     rng = np.random.default_rng(3)
-    information = np.diag([1.0, 0.0])  # E1 to 1 of 100, nothing about the other
+    information = np.diag([1.0, 0.0])  # E1 to 1 in 100, nothing about the other
     rows = [row(i, likelihood([100.0 + rng.standard_normal(), 50.0], information)) for i in range(25)]
     e1, e2 = population_of(rows, seed=0).constants
     assert e1.scatter[3] < 0.015
-    # half a Student-t of 5 % and four degrees of freedom has its median at 3.7 %, its mean at 5 %
-    assert e2.scatter[0] == pytest.approx(0.049, abs=0.008)
+    assert e2.scatter[0] == pytest.approx(0.049, abs=0.008)  # half a Student-t of 5 %, nu = 4: mean 5 %
     assert e2.mean[1] == pytest.approx(200.0 / np.sqrt(12.0), rel=0.1)
 
 
@@ -476,7 +467,7 @@ def test_a_stiffer_plate_is_larger_by_its_ratio():
     assert e1.probability_larger > 0.975
     assert (e1.differs, nu12.differs) == (True, False)
     assert "b differs from a in E1 by +" in found.report().summary.headline
-    # E1 goes with f^2 / h^2 of a stated density, with f^2 / h^3 of a stated mass
+    # E1 scales with f^2 / h^2 for a stated density, with f^2 / h^3 for a stated mass
     assert "thickness off by 1 % changes all moduli by 2 %, of a weighed" in found.report().summary.next_step
     keys = {"percent": e1.percent, "sd_percent": e1.sd_percent, "probability_larger": e1.probability_larger}
     assert found.to_dict()["differences"]["E1_GPa"] == keys | {"determined": True}

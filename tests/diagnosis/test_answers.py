@@ -1,4 +1,4 @@
-"""What is read off weighed hypotheses: other priors, constants, p-values, signatures, what lists show."""
+"""Answers from weighed hypotheses: other priors, constants, p-values, signatures, detection limits."""
 
 from dataclasses import replace
 from itertools import product
@@ -34,12 +34,11 @@ def with_and_without(f, relative=NOISE):
 
 
 def exact_factor(f, *causes):
-    """Log Bayes factor of causes, with their standard deviations, against none."""
     return toy.exact_log_evidence(f, NOISE * f, *causes) - toy.exact_log_evidence(f, NOISE * f)
 
 
 def factor_over_noise(f, prior, size, a):
-    """Of a bump of this prior size against none, with an inferred noise at the points a of its prior."""
+    """Log Bayes factor of a bump of this prior size, with noise inferred at the points a of its prior."""
     log_p = [[toy.exact_log_evidence(f, s * f, *some) for s in a] for some in ([(BUMP, size)], [])]
     log_p += prior.log_density(a)
     with_bump, without = np.log(np.trapezoid(np.exp(log_p - np.max(log_p)), a))
@@ -53,8 +52,7 @@ def test_probabilities_are_those_of_the_other_prior(size, factor):
     found = with_and_without(f)
     other = reweighed(found, factor)
     bent = other.best_of("bent")
-    # the approximation of the evidence itself is not what is tested
-    missed = found.best_of("bent").log_bayes_factor - exact_factor(f, (BUMP, 0.02))
+    missed = found.best_of("bent").log_bayes_factor - exact_factor(f, (BUMP, 0.02))  # error of the evidence
     assert bent.log_bayes_factor - missed == pytest.approx(exact_factor(f, (BUMP, factor * 0.02)), abs=0.08)
     odds = 0.2 * np.exp(bent.log_bayes_factor)
     assert bent.probability == pytest.approx(odds / (1.0 + odds), rel=1e-9)
@@ -84,7 +82,7 @@ def test_a_claim_stands_if_it_is_the_same_with_all_scales(size, stands):
 
 
 def test_constants_are_those_of_the_mixture_of_all_hypotheses():
-    """Two normal posteriors, 0.7 and 0.3, and one that is negligible, far away."""
+    """Two normal posteriors, 0.7 and 0.3, and a negligible one far away."""
     bent = toy.cause("bent", toy.whole_normal(0.02))
     own = toy.case(toy.a_list(F0, NOISE), [(bent, toy.straight(np.ones(8)))])
     p, tested = (np.arange(20000) + 0.5) / 20000, []
@@ -109,7 +107,7 @@ def weighed_list(f, of, relative):
 
 
 def direct(f, sigma, *directions):
-    """Of the toy plate with normal priors, by ridge regression: p-value, misfit beyond noise."""
+    """p-value and misfit beyond noise of the toy plate with normal priors, by ridge regression."""
     slope = np.column_stack([SD * A, *(sd * d for d, sd in directions)]) * (f / sigma)[:, None]
     hat = slope @ np.linalg.inv(slope.T @ slope + np.eye(slope.shape[1])) @ slope.T
     r = f * np.log(f / F0) / sigma
@@ -134,7 +132,7 @@ def test_a_stated_repeatability_gives_the_chi_square_of_the_residuals_and_their_
 def test_an_inferred_repeatability_is_averaged_over_its_prior():
     f = F0 * (1.0 + A @ [0.03, -0.04] + 0.03 * BUMP)
     found = explains(weighed_list(f, NOTHING, None))
-    p = (np.arange(8000) + 0.5) / 8000  # the tail near the end of the prior explains it best: many points
+    p = (np.arange(8000) + 0.5) / 8000  # many points: the tail near the end of the prior explains it best
     expected = np.mean([direct(f, a * f)[0] for a in REPEATABILITY_PRIOR.ppf(p)])
     assert found == pytest.approx(expected, rel=0.03)
 
@@ -163,12 +161,10 @@ def test_a_step_to_where_the_plate_buckles_is_not_taken(monkeypatch):
         return np.empty(0, dtype=int), np.empty((0, len(f))), None
 
     monkeypatch.setattr(CorrelatedDensity, "predict_inside", buckled)
-    # the optimum itself is left, a step of Gauss and Newton from it changes nothing
-    assert explains(tested) == pytest.approx(whole, rel=1e-3)
+    assert explains(tested) == pytest.approx(whole, rel=1e-3)  # a Gauss-Newton step leaves the optimum
 
 
 def weighed(*effects, relative=NOISE, other=False, scatter=0.0):
-    """Of a list at the prior means."""
     own = toy.with_causes(F0 * (1.0 + scatter * toy.SCATTER), *effects, relative=relative)
     return weigh(own, *([ANYTHING] if other else []), *(toy.hypothesis(e) for e in effects))
 
@@ -186,7 +182,6 @@ def smallest(found, name="bent"):
 
 
 def log_odds(oracle, shifts):
-    """Of every cause against none, by simulated lists and shifts."""
     log_weight = dict(zip(oracle.causes, oracle.log_weights(shifts), strict=True))
     return {cause: weight - log_weight[NONE] for cause, weight in log_weight.items()}
 
@@ -212,13 +207,12 @@ def test_an_inferred_noise_is_integrated_over_its_prior():
         assert odds == pytest.approx(expected, abs=0.5 + 0.1 * abs(expected))
 
 
-# A shift that is much like that of the first cause, but not the same: the cosine of what is visible is 0.9.
-NEAR = BUMP + 0.45 * DENT
+NEAR = BUMP + 0.45 * DENT  # similar to the first cause: the cosine of the visible parts is 0.9
 
 
 @pytest.mark.parametrize(("other", "prior"), [(DENT, 0.1), (NEAR, 0.01)])
 def test_the_power_of_a_claim_is_that_of_lists_that_are_simulated(other, prior):
-    """The claim's rule on exact evidences of 400 lists of their own noise, at the size that was found."""
+    """The rule for claims, on exact evidences of 400 lists with the size found and their own noise."""
     own = toy.case(toy.a_list(F0, NOISE), [(BENT, toy.straight(BUMP)), (DENTED, toy.straight(other))])
     entry = limits(weigh(own, toy.hypothesis(BENT), toy.hypothesis(DENTED, prior)))["bent"]
     assert entry.probability_of_claim == pytest.approx(0.95, abs=0.02)
@@ -251,7 +245,7 @@ def test_sizes_are_those_of_the_cause_with_its_sign_and_slope_and_none_of_what_c
     for name, slope in (("warp", 2), ("heavy", 1), ("bent", 1)):
         assert found[name].parameter is not None
         direction = toy.SHIFTS[name](np.array([1.0]))[0][0]
-        # between three and ten standard deviations of what the constants leave
+        # between three and ten standard deviations of what the constants cannot imitate
         assert 3.0 < np.linalg.norm(root @ direction) * smallest(every, name) ** slope < 12.0
     assert {NONE, OTHER}.isdisjoint(found)
     assert found["stiff"].smallest is None
@@ -261,7 +255,7 @@ def test_sizes_are_those_of_the_cause_with_its_sign_and_slope_and_none_of_what_c
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_size_is_that_of_the_sign_that_shows_less(sign):
     def limit(weaker):
-        """Of a cause whose sizes of one sign shift the modes less than those of the other."""
+        """Detection limit of a cause that shifts the modes less with one sign than with the other."""
 
         def shift(t):
             slope = np.where(sign * t > 0.0, weaker, 1.0)[:, None] * BUMP
@@ -298,7 +292,7 @@ def test_a_cause_with_a_place_has_the_size_at_the_median_place(monkeypatch):
 
     own = toy.case(toy.a_list(F0, NOISE), [])
     own.extended[local.name, ""] = ToyModel(toy.CONSTANTS.union(ParameterSet(local.parameters)), function)
-    shown = np.zeros((19, 8))  # that its shifts are known is asked, and not what they are
+    shown = np.zeros((19, 8))  # only whether its shifts are known matters, not their values
     sized = replace(toy.with_evidence(own, toy.hypothesis(local), 0.2), shift=shown)
     tested = weighing.Weighed((toy.with_evidence(own, NOTHING, 0.8), sized), ())
     lines = shift_lines(tested.tested, tested.none.marginal)
@@ -326,7 +320,7 @@ def signature(of, f):
     return signature_of(tested, none, projector_of(none))
 
 
-SLOPES = SD * A / FINE  # derivatives over the scores of the constants in units of the noise
+SLOPES = SD * A / FINE  # derivatives with respect to the constants' scores, in units of the noise
 
 
 def test_the_projection_is_the_precision_with_the_constants_integrated_and_absorbs_their_mean():
@@ -349,12 +343,12 @@ def test_a_shift_that_the_constants_can_make_is_absorbed_and_another_is_visible(
     found = signature("dent", F0 * (1.0 + 0.01 * DENT))
     assert not found.is_absorbed
     left = DENT - A @ np.linalg.lstsq(A, DENT, rcond=None)[0]
-    # the constants' priors are wide against the noise: nearly a plain projection
+    # the constants' priors are wide compared with the noise: nearly a plain projection
     assert found.visible_fraction == pytest.approx(np.linalg.norm(left) / np.linalg.norm(DENT), abs=0.01)
     assert cosine(absorbed, found) == 0.0
 
 
-# of an even cause it is no mean of both its peaks
+# for an even cause it is not the mean of its two peaks
 @pytest.mark.parametrize(("of", "size"), [("dent", 0.012), ("dent", -0.012), ("even", 0.2**2)])
 def test_the_shift_has_the_size_and_sign_that_the_data_suggest(of, size):
     found = signature(of, F0 * (1.0 + size * DENT))
@@ -362,8 +356,7 @@ def test_the_shift_has_the_size_and_sign_that_the_data_suggest(of, size):
 
 
 def test_the_largest_shift_is_that_of_one_catalogue_standard_deviation():
-    # the catalogue's size of a parameter that is normal is its mean, zero here: nothing is shifted
-    assert signature("bump", F0).largest == pytest.approx(0.0, abs=1e-12)
+    assert signature("bump", F0).largest == pytest.approx(0.0, abs=1e-12)  # a normal size's mean is zero
     assert signature(toy.misread(3), F0).largest == pytest.approx(MISREADING.prior.scale, rel=0.01)
 
 
@@ -374,8 +367,7 @@ def test_causes_whose_visible_shifts_are_parallel_are_alike():
     by_name = {n: {names[j] for j in alike(list(found.values()), i)} for i, n in enumerate(names)}
     same = {"bump", "more bump", "bump and stiffer"}
     assert by_name == {name: same - {name} if name in same else set() for name in names}
-    # what is added lies in the constants' span
-    assert abs(cosine(found["bump"], found["bump and stiffer"])) > 0.99
+    assert abs(cosine(found["bump"], found["bump and stiffer"])) > 0.99  # added within the constants' span
 
 
 LIKE, UNLIKE = [(0.951, 1.0), (1.0, 0.101)], [(0.949, 1.0), (1.0, 0.099)]
@@ -390,10 +382,9 @@ def test_signatures_are_equal_from_a_cosine_of_0_95_where_a_tenth_of_both_is_vis
 
 def test_the_nearest_shift_is_one_that_is_there():
     target = np.array([1.0, 0.0])
-    # of a cause that can do the opposite only, the nearest is next to nothing and has no direction
-    size = np.linspace(0.0, 1.0, 21)[:, None]
+    size = np.linspace(0.0, 1.0, 21)[:, None]  # the nearest opposite shift is almost zero
     opposite = -size * target + 1e-6
-    assert nearest_of(opposite, target) == 3  # 0.15: the one before is a trifle too small
+    assert nearest_of(opposite, target) == 3  # 0.15: the one before is slightly too small
     assert signatures.Menu(opposite, np.ones(21)).cosine(target) == pytest.approx(1.0, abs=1e-6)
     assert nearest_of(size * [1.0, 0.5], target) == 16  # at 0.8
     assert nearest_of(1e-3 * size * target, target) == 20
@@ -403,8 +394,7 @@ def test_a_missed_mode_shifts_all_that_follow():
     missed = Hypothesis("mode_identity", "list", listed=ListChange(missed=(5,)))
     found = signature(missed, np.delete(F0 * (1.0 + A @ [0.01, 0.02]), 5))
     assert found.shift.shape == (7,)
-    # the plain model is bent by the wrong pairing: by the noise's measure both ends are far off
-    assert np.abs(found.shift[5:]).min() > 10.0 * FINE
+    assert np.abs(found.shift[5:]).min() > 10.0 * FINE  # the wrong pairing bends the plain model
     assert found.visible_fraction > 0.3
 
 
@@ -413,13 +403,10 @@ def test_causes_with_one_signature_are_told_apart_by_fits():
     peak = {"turned": 30.0, "skew": 22.9, "inner": 23.1, "mass": 28.1, "load": 27.9}
     probability = {"turned": 0.98, "skew": 1e-4, "inner": 5e-3, "mass": 4e-3, "load": 4e-3}
     found = signatures.with_equal_fits(by_signature, peak, probability)
-    # e^7.1 behind at any size: skew is another cause; inner plies fit worse by e^6.9, which decides nothing.
-    # Within e^2 fits are equal
+    # e^7.1 behind: skew is another cause; inner plies at e^6.9 are not; fits within e^2 are equal
     assert found["turned"] == ("inner", "mass")
-    # what fits better imitates the worse one
-    assert set(found["skew"]) == {"turned", "inner", "mass", "load"}
-    # where the priors give it a hundredth of the probability after all, it stays in the class
-    for p, stays in ((0.0097, False), (0.0099, True)):
+    assert set(found["skew"]) == {"turned", "inner", "mass", "load"}  # a better fit imitates a worse one
+    for p, stays in ((0.0097, False), (0.0099, True)):  # with 1 % of the probability it stays in the class
         shared = signatures.with_equal_fits(by_signature, peak, {**probability, "skew": p})
         assert ("skew" in shared["turned"]) is stays
     # without fits only signatures are compared

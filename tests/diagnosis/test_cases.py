@@ -1,4 +1,4 @@
-"""Which hypotheses plates have and how probable each is, how a list is paired, and the models they need."""
+"""Hypotheses of plates and their probabilities, pairing of lists, and the models that they need."""
 
 from collections import OrderedDict, defaultdict
 from concurrent.futures import ThreadPoolExecutor
@@ -51,8 +51,7 @@ def test_priors_sum_to_one_over_families_that_are_equally_probable_as_are_the_ca
     named = {cause for causes in families.values() for cause in causes}
     effects = {effect.name for effect in applicable(facts_of(name))}
     assert named == effects - (set() if complete else {"mode_identity"})
-    # air that the file states is no cause
-    in_air = single_hypotheses(facts_of(name, air_is_known=True), 8, complete=complete)
+    in_air = single_hypotheses(facts_of(name, air_is_known=True), 8, complete=complete)  # known air: no cause
     assert {h.cause for h in in_air} == {h.cause for h in found} - {"air"}
 
 
@@ -65,8 +64,7 @@ def test_what_nothing_explains_is_as_probable_beside_a_cause_as_beside_none_in_t
     for forms, whole in ((others, 0.05), (beside, of.prior / 11.0)):
         assert [h.correlation_length for h in forms] == [0.0, 0.25, 0.8]
         assert [h.prior for h in forms] == pytest.approx([whole / 3.0] * 3)
-    # half a Student-t of 1 % with four degrees of freedom, whose median is 0.741, cut at 50 %
-    prior_of_size = others[0].parameters[0].prior
+    prior_of_size = others[0].parameters[0].prior  # half a Student-t of 1 %, nu = 4: median 0.741
     assert prior_of_size.ppf(0.5) == pytest.approx(0.00741, rel=1e-3)
     assert prior_of_size.upper == 0.5
 
@@ -83,13 +81,12 @@ def test_any_frequency_may_be_misread_any_mode_missed_or_false():
     assert [h.listed.spurious for h in of_list if h.listed.spurious is not None] == list(range(n))
     two = [h for h in of_list if len(h.listed.missed) == 2]
     assert len(two) == n * (n + 1) // 2
-    # a gross error has a tenth of the prior of its cause, or of the size of one
-    assert prior(two) == pytest.approx(0.1 * prior(of_list))
+    assert prior(two) == pytest.approx(0.1 * prior(of_list))  # a gross error: a tenth of its cause or size
     assert {h.cause for h in found if h.is_gross} == {"outlier"}
     assert prior(h for h in misread if h.is_gross) == pytest.approx(0.1 * prior(misread))
     (angle,) = [h for h in found if h.cause == "misorientation"]
     assert angle.parameters[0].prior.fraction == 0.1
-    # of an incomplete list one in another place is a false one and a missed one, which are in its pairings
+    # in an incomplete list a frequency out of place is a false and a missed one, which its pairings include
     incomplete = [h.listed.misread for h in singles("C1", complete=False) if h.cause == "outlier"]
     assert incomplete == [(i,) for i in range(8)]
 
@@ -98,10 +95,10 @@ def test_another_material_is_as_probable_as_another_slip_of_the_pen_and_pairs_wi
     found = single_hypotheses(facts_of("C2", has_references=True), 6, complete=True)
     material = next(h for h in found if h.cause == MATERIAL.name)
     assert material.other_material
-    alone = next(h for h in found if h.cause == "viscoelastic")  # the one cause of its family
+    alone = next(h for h in found if h.cause == "viscoelastic")  # the only cause of its family
     assert material.prior == pytest.approx(0.1 * alone.prior)
     assert all(MATERIAL.name not in p.causes for p in pairs_of((*found[2:6], material), found))
-    specimen = builtin("C2")  # only the search bounds are left of the constants then
+    specimen = builtin("C2")  # then the constants have only the search bounds
     wide = diagnosis_parameters(specimen, other_material=True)
     assert wide.names == specimen.unknowns.names
     assert [p.prior for p in wide.parameters] == [p.prior for p in specimen.unknowns.parameters]
@@ -112,7 +109,6 @@ ONE, TWO, SAME = [("one", "one")], [("one", "one"), ("two", "two")], [("one", "s
 
 
 def toys(plates):
-    """Free aluminium plates by their names and specimens."""
     return [case(a_list(F0, 0.002), name=name, specimen=specimen) for name, specimen in plates]
 
 
@@ -151,8 +147,7 @@ def test_a_flaw_is_about_the_tests_in_which_it_can_act():
     for cause, plates in (("support", (0,)), ("clamp_rotation", (1,)), ("length", (0, 1))):
         assert plates_of(found, cause) == {plates}
     assert prior(h for h, _ in found) == pytest.approx(1.0 - OF_SETS)
-    # places differ from test to test; a cause is no more probable for that
-    assert len({h.variant for h, _ in found if h.cause == "damage"}) == 2
+    assert len({h.variant for h, _ in found if h.cause == "damage"}) == 2  # places differ between tests
     causes = ("damage", "sensor_mass")
     both, alone = (
         [prior(h for h, _ in f if h.cause == c) for c in causes] for f in (found, hypotheses_of([clamped]))
@@ -176,16 +171,14 @@ def test_a_plates_list_is_paired_in_order_and_an_incomplete_one_by_what_is_proba
     ordered = plate_case(own)
     np.testing.assert_array_equal(ordered.modes, np.arange(own.measurement.size))
     assert ordered.models.n_modes == own.measurement.size + 2
-    # the aluminium plate measured without its second mode, which the file says may be
-    f = np.delete(own.measurement.frequencies, 1)
+    f = np.delete(own.measurement.frequencies, 1)  # without the second mode, which the file allows
     short = replace(own.measurement, frequencies=f, labels=("",) * len(f), complete=False)
     found = plate_case(replace(own, measurement=short))
     assert found.measurement.size == len(f)
     kept, first = plain_pairings([found], 0.02)
     for lists in (kept[0], first[0]):
         np.testing.assert_array_equal(lists.cases[0].modes, np.delete(np.arange(len(f) + 1), 1))
-    # constants are normal about the reference where its standard deviation is given
-    of_first = found.models.parameters["E1"].prior
+    of_first = found.models.parameters["E1"].prior  # normal about the reference if its sd is given
     assert of_first.sd / of_first.mean == pytest.approx(0.1, rel=0.02)
 
 
@@ -208,7 +201,7 @@ def test_models_are_the_same_from_workers_and_on_demand_and_built_once(monkeypat
         x = model.parameters.sample(np.random.default_rng(0), 20)
         x = x[model.admissible(x)]
         np.testing.assert_array_equal(model.predict(x).frequencies, built.predict(x).frequencies)
-    hypothesis, plates = some[0]  # an effect that cannot be sent is left to be built when it is asked for
+    hypothesis, plates = some[0]  # an effect that cannot be sent is built on demand
     effect = replace(hypothesis.effects[0], change=lambda problem, facts: problem)
     anew = replace(c1, extended={})
     build_models([anew], [(replace(hypothesis, effects=(effect,)), plates)])
@@ -217,7 +210,7 @@ def test_models_are_the_same_from_workers_and_on_demand_and_built_once(monkeypat
 
 def test_a_size_that_plates_share_is_one_that_each_of_them_can_have():
     cases = [plate_case(builtin(name)) for name in ("C1", "C2")]
-    # a square plate and an oblong one: a corner is less of the latter
+    # a square plate and an oblong one: a corner is a smaller part of the latter
     sides = [(c.models.specimen.plate.length, c.models.specimen.plate.width) for c in cases]
     square, oblong = (min(s) / max(s) for s in sides)
     assert oblong < square

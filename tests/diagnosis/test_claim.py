@@ -1,6 +1,6 @@
-"""Claims of lists with frozen evidences: `frozen_claims.toml` has them, and why each claim is what it is.
+"""Claims of lists with frozen evidences, which `frozen_claims.toml` holds with the reason for each claim.
 
-The numbers of the rules stand in these lists again and are not imported: a changed rule fails.
+The numbers of the rules are repeated in these lists, not imported, so that a changed rule fails.
 """
 
 import tomllib
@@ -18,7 +18,6 @@ LISTS = {listed["name"]: listed for listed in FROZEN["list"]}
 
 
 def rows_of(listed):
-    """Causes, variant and the numbers of every hypothesis."""
     lines = listed["evidences"].strip().splitlines()
     written = [[cell.strip() for cell in line.split("|")] for line in lines]
     named, rows = {tuple(cells[:2]) for cells in written}, []
@@ -39,7 +38,7 @@ def rows_of(listed):
 def with_evidence(causes, variant, prior, log_evidence):
     length = 0.0 if causes == OTHER or "with a leftover" in variant else None
     of = Hypothesis(causes, causes, variant, prior=prior, correlation_length=length)
-    # only differences count: e^800 is no number
+    # only differences matter: e^800 overflows
     return marginal.Tested(of, (0,), marginal.Marginal(None, (), 800.0 + log_evidence, *(None,) * 6))
 
 
@@ -63,7 +62,7 @@ def test_the_claim_is_the_one_that_was_derived_by_hand(listed):
 @pytest.mark.parametrize(
     ("name", "unaccounted", "claim"),
     [
-        # misorientation 0.9496, with layup 0.992: 0.9 of all where 0.05, 0.06 or 0.1 of it was not weighed
+        # misorientation 0.9496, with layup 0.992: 0.9 of all if 0.05, 0.06 or 0.1 was not weighed
         ("a rival more than three nats behind does not", 0.05, "named"),
         ("a rival more than three nats behind does not", 0.06, "class"),
         ("a rival more than three nats behind does not", 0.1, "undecided"),

@@ -19,7 +19,7 @@ FALSE = [
     Hypothesis("mode_identity", "list", f"frequency {i + 1} false", listed=ListChange(spurious=i), prior=0.01)
     for i in range(8)
 ]
-WILD = 0.05 * np.array([1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0, 1.0])  # no cause shifts the modes so
+WILD = 0.05 * np.array([1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0, 1.0])  # no cause shifts the modes like this
 
 
 def plate(shift, *effects, name="toy"):
@@ -66,11 +66,10 @@ def test_a_cause_is_named_with_its_size_its_fit_and_its_gain():
     mean, sd, unit = found.causes[0].parameters["size of bent"]
     assert abs(mean - 0.03) < 3 * sd
     assert (unit, found.gain.stable) == ("", 1.0)
-    assert found.extended.rms < NOISE < found.baseline.rms  # the list's own noise is left
+    assert found.extended.rms < NOISE < found.baseline.rms  # the list's own noise remains
     assert (found.gain.rms_before, found.gain.rms_after) == (found.baseline.rms, found.extended.rms)
     assert found.extended.p_value > 0.05 > 1e-3 > found.baseline.p_value
-    # the extended model covers the constants, the plain one was bent away from them
-    for name, truth in (("E1", 1.03), ("G12", 0.96)):
+    for name, truth in (("E1", 1.03), ("G12", 0.96)):  # unlike the plain model, the extended one covers them
         mean, sd, low, high = found.extended.constants[name]
         assert low < mean < high
         assert abs(mean - truth) < 3.5 * sd
@@ -85,7 +84,7 @@ def test_an_even_cause_is_told_by_its_magnitude():
     assert sd < 0.02
 
 
-# The last is next to its equal: a list rounded to 1 Hz may hold one number twice.
+# The last one equals its neighbour: a list rounded to 1 Hz may hold a number twice.
 @pytest.mark.parametrize(("at", "share"), [(2, 0.5), (7, 0.5), (4, 0.0)])
 def test_a_false_peak_is_found_and_the_rest_refitted(at, share):
     f = toy.measured()
@@ -93,7 +92,7 @@ def test_a_false_peak_is_found_and_the_rest_refitted(at, share):
     found = diagnosed(toy.with_causes(listed, BENT), toy.hypothesis(BENT), *FALSE, gain=True)
     assert found.claim.causes == ("mode_identity",)
     assert found.causes[0].variant in {f"frequency {i + 1} false" for i in ({at} if share else {at - 1, at})}
-    # all eight frequencies are in the answer, the false one as it was measured
+    # all eight frequencies are in the answer, the false one as measured
     assert found.extended.predicted.shape == found.baseline.predicted.shape == (8,)
     np.testing.assert_allclose(found.extended.predicted, listed, rtol=3 * NOISE)
     if share:
@@ -107,8 +106,7 @@ def test_what_is_wrong_with_one_of_two_lists_is_left_out_of_that_list():
     misread = [(toy.misread(i), (k,)) for k in (0, 1) for i in range(8)]
     found = diagnose_cases(cases, hypotheses=[(NOTHING, (0, 1)), (ANYTHING, (0, 1)), *misread], power=False)
     assert (found.claim.causes, found.causes[0].plates) == (("outlier",), ("two",))
-    # the misread frequency is the twelfth of both lists: under its own cause nothing was known of it
-    held_out = found.gain.held_out
+    held_out = found.gain.held_out  # the misread one is the twelfth of both lists
     assert int(np.argmax(np.abs(held_out))) == 11
     assert held_out[11] > 5.0
     assert np.abs(np.delete(held_out, 11)).max() < 0.3 * held_out[11]
@@ -117,7 +115,7 @@ def test_what_is_wrong_with_one_of_two_lists_is_left_out_of_that_list():
 # Held-out scores: ln p(f_i | others) = ln Z - ln Z without it
 @pytest.mark.slow
 def test_the_other_frequencies_are_left_out_beside_a_false_one_by_their_own_list(monkeypatch):
-    """Of two lists of eight, the fourth frequency of the second is the twelfth."""
+    """In two lists of eight, the fourth frequency of the second is the twelfth."""
     cases = [plate(np.zeros(8), name=name) for name in ("one", "two")]
     t = weighing.Tested(FALSE[3], (1,), weighing.marginal_of(cases, FALSE[3], (1,)))
     asked = []
@@ -154,13 +152,12 @@ def test_a_misread_frequency_is_predicted_by_the_prior_of_its_error():
 
 
 def exact_evidences(f, *causes):
-    """Of the toy plate with its whole list, then without each frequency."""
     lists = [np.arange(8), *(np.delete(np.arange(8), i) for i in range(8))]
     return np.array([toy.exact_log_evidence(f[k], NOISE * f[k], *causes, modes=k) for k in lists])
 
 
 def test_held_out_scores_select_the_cause_again_without_each_frequency():
-    """Of a faint cause: the mixture of plain and extended model, weighed by the other frequencies."""
+    """For a faint cause: the mixture of plain and extended model, weighted by the other frequencies."""
     own = plate(0.006 * BUMP, BENT)
     found = diagnosed(own, toy.hypothesis(BENT), sets=False)
     bent = found.weighed.best_of("bent")

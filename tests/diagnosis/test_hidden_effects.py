@@ -1,8 +1,8 @@
-"""Every cause of the catalogue is hidden in a list at least once, and what the user reads is its claim.
+"""Every cause of the catalogue is hidden in a list at least once, and the user's claim is checked.
 
-The lists are those of elements that share nothing with the package, with noise of 0.2 %. A cause that the
-constants imitate cannot be claimed: then nothing may be, and the answer says that these data need not have
-shown it. Pairs of causes, most of the work, are weighed for a cause of each plate and for clean ones.
+The lists are those of independent elements, with noise of 0.2 %. A cause that the constants imitate cannot be
+claimed: then nothing may be, and the answer says that these data need not have shown it. Pairs of causes,
+most of the work, are weighed for one cause of each plate and for clean ones.
 """
 
 from dataclasses import dataclass, field, replace
@@ -40,23 +40,21 @@ _CARBON = {"E1": 125e9, "E2": 9.0e9, "nu12": 0.30, "G12": 5.2e9}
 _OTHER_CARBON = {"E1": 0.55 * _CARBON["E1"], "E2": 1.6 * _CARBON["E2"]}
 FREE = NominalPlate("free", _plate(0.271, 0.193, 2.1e-3), "[0]", "aluminium", True, 10)
 CLAMPED = NominalPlate("clamped", _plate(0.261, 0.143, 2.2e-3, "CFFF"), "[0]", "aluminium", True, 10)
-# thick, so that the transverse shear shows
+# thick, so that transverse shear matters
 _CROSS_PLY = TruePlate(0.203, 0.151, 5.3e-3, 1580, "FFFF", (*_HALF, *_HALF[::-1]), _CARBON)
 THICK = NominalPlate("thick", _CROSS_PLY, "[(0/90)_4]_s", "carbon", True, 10)
 SUPPORTED = replace(FREE, name="supported", plate=replace(FREE.plate, edges="SSSS"))
 OTHERS = [pytest.param(p, id=p.name, marks=pytest.mark.weekly) for p in (CLAMPED, THICK, SUPPORTED)]
-SLOW = (pytest.mark.slow,)  # of a test that `.ci/run` runs too
+SLOW = (pytest.mark.slow,)  # for a test that `.ci/run` runs too
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One list: the cause, the plate, and its size in SI with a place, or else what makes the list.
-
-    true : what the drawn plate is really. on_list : what was written of its frequencies
-    missed, complete : modes that the list lacks, and what the file says
-    sets : whether several causes at once are weighed too
-    marks : who runs it: all if there are none, `.ci/run` too if slow, the weekly run alone as it stands here.
-    """
+    """One list: the cause, the plate, its size in SI with a place, or else the change that makes the list.
+    true : changes of the drawn plate. on_list : change of its frequencies
+    missed, complete : modes missing from the list, and the file's statement
+    sets : whether several simultaneous causes are weighed too
+    marks : none if everyone runs it, slow if `.ci/run` does too; by default only the weekly run."""
 
     cause: str
     plate: NominalPlate
@@ -70,7 +68,6 @@ class Case:
     marks: Any = (pytest.mark.slow, pytest.mark.weekly)
 
     def listed(self):
-        """The plate's file and the truth."""
         rng = np.random.default_rng(7)
         how = {"missed": self.missed, "complete": self.complete}
         if self.cause in FLAWS:
@@ -81,7 +78,7 @@ class Case:
 
 
 def _in_air(own, f):
-    """A list in air, which the independent elements do not know: unreduced finite ones tell by how much."""
+    """A list in air, which the independent elements lack: the shift is that of unreduced finite elements."""
     text = replace(FREE, plate=own).file([100.0 + i for i in range(FREE.n_modes)], stated=None)
     vacuum = parse_specimen(text, "plate.toml")
     without, in_air = (cb.forward(replace(vacuum, air_density=d), solver="fem") for d in (None, 1.2))
@@ -89,17 +86,15 @@ def _in_air(own, f):
 
 
 def _misread(factors):
-    """Some frequencies of the list are multiplied."""
     return lambda own, f: f * [factors.get(i, 1.0) for i in range(len(f))]
 
 
-# A bell, its standard deviation 7.1 % of the shorter side.
+# A bell with a standard deviation of 7.1 % of the shorter side.
 _PATCH = {"form": "smooth", "x": 0.463, "y": 0.527, "half": [0.071 * 0.193 / 0.271, 0.071]}
-# What frequencies can show, at sizes and places that no grid has.
-SHOWN = (
+SHOWN = (  # Causes that frequencies can show, at sizes and places off every grid.
     Case("sensor_mass", FREE, 0.031, {"x": 0.8437, "y": 0.2362}, marks=()),
     Case("sensor_mass", FREE, 0.031, {"x": 0.8437, "y": 0.2362}, missed=(4,), complete=False),
-    # a strip along x = 0 of 1.7 % of the plate's mass
+    # a strip along x = 0 with 1.7 % of the plate's mass
     Case("edge_mass", FREE, true=lambda p: {"strips": (("x0", 0.017 * p.total_mass),)}),
     Case("support", FREE, 34.0),
     # springs of pi^4 D / (2 c a^3), c = 0.037, along the four edges
@@ -124,18 +119,17 @@ SHOWN = (
     Case("misorientation", THICK, 8.3, sets=True),
     Case("outer_ply_angle", THICK, 17.0),
     Case("inner_ply_angle", THICK, 63.0),
-    # the third ply from the bottom was forgotten; the others fill the gauged thickness
+    # the third ply from the bottom is missing; the others fill the gauged thickness
     Case("layup", THICK, true=lambda p: {"angles_deg": p.angles_deg[:2] + p.angles_deg[3:]}, sets=True),
-    # the file's length is the plate's width, and the other way round
+    # length and width are exchanged in the file
     Case("swapped_sides", THICK, true=lambda p: {"length": p.width, "width": p.length}, sets=True),
     Case("transverse_shear", THICK, -0.87),
-    # E1 is less by 45 % and E2 more by 60 %, each with 10 % in the file
+    # E1 is 45 % lower and E2 60 % higher than the file states to 10 %
     Case("material", THICK, true=lambda p: {"constants": {**p.constants, **_OTHER_CARBON}}),
 )
-# Half the ratio that is assumed, the least that is possible: what these frequencies show and do not decide.
+# Half the assumed ratio, the smallest possible: these frequencies show it but do not decide.
 OPEN = Case("shear_ratio", THICK, -0.49)
-# What the constants imitate: thin plates have nothing else that moves their modes alike.
-ABSORBED = (
+ABSORBED = (  # Causes that the constants imitate: in thin plates nothing else shifts the modes alike.
     Case("air", FREE, 1.2, on_list=_in_air),
     Case("thickness", FREE, 0.027, marks=SLOW),
     Case("density", FREE, -0.034),
@@ -145,7 +139,7 @@ ABSORBED = (
 
 
 def _diagnosed(case, catalogue=CATALOGUE, *, power=False, file=""):
-    """What a user is told of the list, or of a file. power : with the sizes that it would have shown."""
+    """The user's answer for the list, or for a file. power : with detection limits"""
     plate = plate_case(parse_specimen(file or case.listed()[0], f"{case.plate.name}.toml"))
     hypotheses = hypotheses_of([plate], catalogue)
     found = diagnose_cases([plate], hypotheses=hypotheses, sets=case.sets, gain=False, power=power)
@@ -153,7 +147,6 @@ def _diagnosed(case, catalogue=CATALOGUE, *, power=False, file=""):
 
 
 def _marked(cases):
-    """As parameters of a test."""
     ids = [case.cause if case.complete else f"{case.cause}, incomplete" for case in cases]
     return [pytest.param(case, id=name, marks=case.marks) for case, name in zip(cases, ids, strict=True)]
 
@@ -198,7 +191,7 @@ def test_what_the_constants_imitate_is_not_claimed_and_is_said_to_be_unseen(case
     assert case.cause in {row["cause"] for row in found.to_dict()["absorbed"]}
     smallest = {row.cause: row.smallest for row in found.diagnosis.detectable}
     assert smallest[case.cause] is None or smallest[case.cause] > abs(case.size)
-    assert smallest["warp"] is not None  # of others it is told what these data would have shown
+    assert smallest["warp"] is not None  # for others the detection limit is given
 
 
 @pytest.mark.slow
@@ -229,19 +222,17 @@ SISTERS = WEIGHED.replace("[material]\n", f'{GAUGED}name = "aluminium"\n', 1)
 
 
 def listing(text, thickness_mm=3.0, relative_std=0.001):
-    """The file of a plate of 3 mm, with the list of one of another thickness and the same mass."""
+    """File of a plate of 3 mm with the list of one of another thickness and equal mass."""
     f = cb.forward(parse_specimen(text.replace("= 3.0", f"= {thickness_mm}", 1), "x"), n_modes=8).frequencies
     rounded = [round(float(v), 2) for v in f]
     return f"{text}\n[measurement]\nfrequencies_hz = {rounded}\nrelative_std = {relative_std}\n"
 
 
-# f^2 goes with E h^3 / m: 1 % of E is 0.33 % of h, less what the prior of h says; between plates E differs by
-# 2.5 % or so, which is 0.9 % of h.
+# f^2 ~ E h^3 / m: 1 % of E is 0.33 % of h, less with its prior; plates differ by 2.5 % in E, 0.9 % in h
 @pytest.mark.parametrize(
     ("plates", "thinner", "least", "sd", "near"),
     [
-        # five times the usual tolerance; at four the probability is 0.6, and 1 of a gauge of 0.1 %
-        ({KNOWN: 2.85}, 0.05, 0.95, (0.0028, 0.0008), 0.001),
+        ({KNOWN: 2.85}, 0.05, 0.95, (0.0028, 0.0008), 0.001),  # five times the tolerance; at four p is 0.6
         ({KNOWN.replace("[material]\n", GAUGED, 1): 2.88}, 0.04, 0.95, (0.0028, 0.0008), 0.001),
         ({SISTERS: 2.88, SISTERS.replace("plate 7", "sister"): 3.0}, 0.04, 0.5, (0.009, 0.002), 0.002),
     ],
@@ -271,13 +262,13 @@ def test_all_commands_say_the_same_of_an_error_of_a_size():
 
 
 NOISE = 0.001
-# One draw of the noise, in its own unit.
+# One draw of the noise, in units of its sd.
 DRAWN = np.array([0.4, -1.1, 0.2, 0.9, -0.5, 0.1, -0.3, 1.2, -0.7, 0.6])
 CAUSES = (SENSOR_MASS, THICKNESS, MISORIENTATION, SHEAR_RATIO)
 
 
 def diagnosed_hybrid(*sensors):
-    """Of the list of finite elements that masses stand on, of which the file says nothing."""
+    """Diagnosis of a finite-element list with masses that the file does not state."""
     f = cb.forward({**HYBRID, "sensor": list(sensors)}, n_modes=len(DRAWN), solver="fem").frequencies
     listed = {"frequencies_hz": (f * (1.0 + NOISE * DRAWN)).round(2).tolist(), "resolution_hz": 0.01}
     file = {**HYBRID, "unknowns": UNKNOWNS, "measurement": {**listed, "relative_std": NOISE}}
@@ -286,7 +277,7 @@ def diagnosed_hybrid(*sensors):
 
 @pytest.mark.slow
 def test_an_added_mass_on_a_hybrid_is_found_with_its_size_and_place():
-    result = diagnosed_hybrid({"mass_g": 9.0, "x_mm": 280.0, "y_mm": 185.0})  # 9 g on a plate of some 310 g
+    result = diagnosed_hybrid({"mass_g": 9.0, "x_mm": 280.0, "y_mm": 185.0})  # 9 g on a plate of about 310 g
     assert (result.claim, result.diagnosis.causes[0].name) == ("named", SENSOR_MASS.name)
     size = result.to_dict()["hypotheses"][0]["parameters"][SENSOR_MASS.parameters[0].name]
     assert abs(size["mean"] - 9.0) < 3.0 * size["sd"]

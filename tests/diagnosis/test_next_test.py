@@ -28,13 +28,11 @@ from tests.plates import with_plate
 
 
 def outlook(means, sds, p=(0.5, 0.5), cause_of=(0, 1)):
-    """Gaussians of means (k, n) with independent standard deviations (k, n)."""
     covariance = np.square(sds)[:, :, None] * np.eye(np.shape(means)[1])
     return further.Outlook(np.array(p), np.array(cause_of), np.array(means), covariance)
 
 
 def by_quadrature(means, sds, p, cause_of):
-    """Mutual information of a cause and one datum."""
     y = np.linspace((means - 12 * sds).min(), (means + 12 * sds).max(), 200_001)
     density = p * norm.pdf(y[:, None], means, sds)
     of_cause = np.stack([density[:, cause_of == c].sum(axis=1) for c in np.unique(cause_of)], axis=1)
@@ -43,13 +41,12 @@ def by_quadrature(means, sds, p, cause_of):
     return float(np.trapezoid(np.sum(of_cause * ratio, axis=1), y))
 
 
-# Means and standard deviations of one datum, probabilities, and which cause each belongs to
+# mean, sd, probability and cause
 APART = [(d, p) for d in (0.5, 1.0, 2.0, 4.0) for p in (0.5, 0.2)]
 GAUSSIANS = {
     **{f"{d} apart, {p}": ([0.0, d], [1.0, 1.0], [p, 1.0 - p], [0, 1]) for d, p in APART},
     "of other widths": ([0.0, 0.0], [1.0, 5.0], [0.5, 0.5], [0, 1]),
-    # variants of one cause are not to be told apart
-    "variants": ([-3.0, 0.0, 3.0], [1.0, 1.0, 1.0], [0.3, 0.4, 0.3], [0, 1, 0]),
+    "variants": ([-3.0, 0.0, 3.0], [1.0, 1.0, 1.0], [0.3, 0.4, 0.3], [0, 1, 0]),  # variants of one cause
 }
 
 
@@ -57,8 +54,7 @@ GAUSSIANS = {
 def test_the_information_of_gaussians_is_that_of_quadrature(of):
     means, sds, p, cause_of = map(np.array, of)
     found, possible, _ = information(outlook(means[:, None], sds[:, None], p, cause_of))
-    # 1024 points of a Sobol sequence
-    assert found == pytest.approx(by_quadrature(means, sds, p, cause_of), abs=2e-3)
+    assert found == pytest.approx(by_quadrature(means, sds, p, cause_of), abs=2e-3)  # 1024 Sobol points
     share = np.bincount(cause_of, p)
     assert possible == pytest.approx(-np.sum(share * np.log(share)), rel=1e-12)
 
@@ -68,14 +64,13 @@ def test_correlated_data_are_taken_as_such():
     plain = outlook([[0.0, 0.0, 0.0], [2.0, 0.5, 0.0]], np.tile([1.0, 0.2, 3.0], (2, 1)))
     covariance = np.einsum("ab,kbc,dc->kad", rotation, plain.covariance, rotation)
     turned = replace(plain, mean=plain.mean @ rotation.T, covariance=covariance)
-    # two Sobol sequences of the same integral
-    assert information(turned)[0] == pytest.approx(information(plain)[0], abs=3e-3)
+    assert information(turned)[0] == pytest.approx(information(plain)[0], abs=3e-3)  # two Sobol sequences
 
 
 def test_the_probability_of_a_decision_is_that_of_a_likelihood_ratio():
     d = 3.0
     _, _, decided = information(outlook([[0.0], [d]], np.ones((2, 1))), 12)
-    # log ratio d (y - d / 2) under the right cause is normal, mean d^2 / 2, sd d
+    # the log ratio d (y - d / 2) under the right cause is normal with mean d^2 / 2, sd d
     assert decided == pytest.approx(norm.cdf((d**2 / 2 - np.log(9.0)) / d), abs=2e-3)
 
 
@@ -96,8 +91,7 @@ def test_leading_causes_are_six_at_most_with_all_their_probability():
 
     assert found(("a", 0.6), ("b", 0.395), ("c", 0.005)) == [("a", 0.6), ("b", 0.395)]
     assert [c for c, _ in found(*((c, 0.12) for c in "abcdefgh"))] == list("abcdef")
-    # ten of the places where a mass may be stand for all of them, beside none
-    many = found(("none", 0.2), *(("a", 0.032) for _ in range(25)))
+    many = found(("none", 0.2), *(("a", 0.032) for _ in range(25)))  # ten places of a mass represent all
     assert len(many) == 10
     assert sum(p for c, p in many if c == "a") == pytest.approx(0.8)
     assert dict(many)["none"] == pytest.approx(0.2)
@@ -145,19 +139,18 @@ def test_a_sister_plate_has_other_constants_and_not_the_flaw():
     expected = relative @ spread @ relative.T + 0.001**2 * np.eye(8)
     # 512 weighted points of a posterior much narrower than the scatter
     np.testing.assert_allclose(found.covariance[0], expected, rtol=0.05, atol=0.01 * expected.max())
-    # less the flaw, a plate of the same constants
-    plain = made(NOTHING, plate(0.0 * BUMP))
+    plain = made(NOTHING, plate(0.0 * BUMP))  # without the flaw, a plate of the same constants
     y, same = (further._sister(each, 0, own, scatter).y.mean(axis=0) for each in (t, plain))
     np.testing.assert_allclose(y, same, rtol=0.005)
 
 
 def test_weighing_and_gauging_see_a_thicker_plate():
-    # a linear toy holds over a tolerance, not over gross errors
+    # a linear toy is valid over a tolerance, not over gross errors
     tolerance = replace(THICKNESS, parameters=(either_sign("thickness_deviation", "", 0.01),))
     own, specimen = plate(0.02 * BUMP), builtin("C1")
     thick = toy.plate_model(shift=toy.straight(BUMP), parameter=tolerance.parameters[0])
     own.extended[tolerance.name, tolerance.variant] = thick
-    # its sizes are those of a real plate
+    # with the sizes of a real plate
     own = replace(own, models=replace(own.models, problem=plate_problem(specimen, CONSTANTS)))
     t, plain = made(toy.hypothesis(tolerance), own), made(NOTHING, own)
     thicker, of = 1.0 + t.marginal.draws[:, t.columns], specimen.plate
@@ -166,7 +159,7 @@ def test_weighing_and_gauging_see_a_thicker_plate():
     found = outlook_of([plain, t], own, lambda t: further._weighing(t, 0, own))
     noise = np.diag([further.WEIGHED**2, further.GAUGED**2])
     np.testing.assert_allclose(found.covariance[0], noise, atol=1e-15)
-    assert information(found)[0] == pytest.approx(np.log(2.0), abs=0.01)  # 2 % beside 0.1 and 0.3 %
+    assert information(found)[0] == pytest.approx(np.log(2.0), abs=0.01)  # 2 % compared with 0.1 and 0.3 %
 
 
 @pytest.mark.parametrize(
@@ -198,7 +191,7 @@ def test_what_the_file_states_as_well_is_not_to_be_measured(mass, sd, asked):
         *((kind, {}, True) for kind in ("class", "pair", "other", "undecided")),
         ("none", {}, False),
         ("named", {}, False),
-        ("named", {"warp": 0.7}, True),  # what acts beside a named cause is not settled
+        ("named", {"warp": 0.7}, True),  # what else acts beside a named cause is not settled
     ],
 )
 def test_tests_are_ranked_by_what_they_tell_and_none_is_asked_without_need(kind, beside, asked, monkeypatch):
@@ -206,7 +199,7 @@ def test_tests_are_ranked_by_what_they_tell_and_none_is_asked_without_need(kind,
     causes, probability = [h.cause for h in hypotheses], np.array([0.5, 0.3, 0.2])
 
     def telling(name, by):
-        """Its data tell the causes apart by so much."""
+        """A test whose data differ by this much between the causes."""
 
         def predict(t):
             y = 100.0 * (1.0 + by * causes.index(t.hypothesis.cause))
@@ -243,8 +236,6 @@ def test_known_masses_go_where_the_plate_is_free(edges, places):
 
 
 def with_own_list(name, effect, size):
-    """A plate with a list of four frequencies of its own model."""
-
     def a_list_of(f):
         return Measurement(f[:4], 0.0, 0.002, None, ("",) * 4, complete=True)
 
@@ -255,21 +246,20 @@ def with_own_list(name, effect, size):
 
 
 def assert_predicts(found, model, t, modes=slice(0, 4)):
-    """The data of a test are those of a model at all draws."""
+    """Check that the data of a test are those of a model at all draws."""
     weight = np.exp(t.marginal.log_weight)
     mean = weight @ found.y
     sd = np.sqrt(weight @ (found.y - mean) ** 2 + np.diag(found.missing) * mean**2)
     f = model.predict(t.marginal.draws[:, : model.parameters.size]).frequencies[:, modes]
     expected = weight @ f
     spread = np.sqrt(weight @ (f - expected) ** 2)
-    # a tenth of a measurement's noise, and of the spread
-    np.testing.assert_allclose(mean, expected, rtol=3e-4)
+    np.testing.assert_allclose(mean, expected, rtol=3e-4)  # a tenth of the noise, and of the spread
     np.testing.assert_allclose(sd, spread, rtol=0.1, atol=3e-4 * expected.min())
 
 
 @pytest.mark.slow
 def test_a_clamp_acts_on_the_clamped_plate_and_not_on_the_one_that_hangs():
-    effect = BY_NAME["clamp_rotation"]  # its clamp turns a little
+    effect = BY_NAME["clamp_rotation"]  # its clamp rotates a little
     own = with_own_list("A2", effect, 0.03)
     t, specimen = made(toy.hypothesis(effect), own), own.models.specimen
     as_it_is = further._under_test(t, 0, own.models, own.models.bare.full, np.arange(4))
@@ -303,8 +293,7 @@ def test_thickness_and_density_that_the_constants_absorb_are_told_apart_by_weigh
     found = next_measurements(diagnosis, always=True, notify=said.append)
     assert len(found) == 6
     assert found[0].name == "weighing"
-    # frequencies of any plate of the same size scale alike with both
-    assert found[0].information > 3.0 * max(c.information for c in found[1:])
+    assert found[0].information > 3.0 * max(c.information for c in found[1:])  # the others scale alike
     assert all(0.0 <= c.information <= c.possible + 1e-9 and 0.0 <= c.decided <= 1.0 for c in found)
     assert [c.information for c in found] == sorted((c.information for c in found), reverse=True)
     assert found == next_measurements(diagnosis, always=True)

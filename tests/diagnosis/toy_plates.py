@@ -1,4 +1,4 @@
-"""Plates of a few lines for the tests of the diagnosis: their evidences are known in closed form."""
+"""Minimal plates for the tests of the diagnosis, with evidences in closed form."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -18,28 +18,27 @@ from cpam_bayes.plate import Measurement
 from cpam_bayes.plate.reader import builtin
 from tests.toy_models import ToyModel
 
-# Frequencies at the prior means, Hz, and relative shifts by a constant's relative deviation.
+# Frequencies at the prior means, Hz, and relative shifts per relative change of a constant.
 F0 = np.array([100.0, 180.0, 240.0, 310.0, 420.0, 500.0, 640.0, 700.0])
 A = np.array([[0.5, 0.0, 0.4, 0.1, 0.25, 0.45, 0.3, 0.2], [0.0, 0.5, 0.1, 0.4, 0.25, 0.05, 0.2, 0.3]]).T
-_FAR = 8.0  # a cut so far out that the normal prior is whole to 1e-15
+_FAR = 8.0  # truncation so far out that the normal prior is complete to 1e-15
 SD = 0.05  # two constants near 1, known to 5 %
-# Relative noise of a list, and one draw of it in its units.
+# Relative noise of a list, and one draw of it in units of its sd.
 NOISE = 0.002
 SCATTER = np.array([1.0, -0.5, 0.3, 1.2, -1.0, 0.2, 0.9, -1.4])
 _KNOWN = TruncatedNormal(1.0, SD, 1.0 - _FAR * SD, 1.0 + _FAR * SD)
 CONSTANTS = ParameterSet((Parameter("E1", "", _KNOWN), Parameter("G12", "", _KNOWN)))
-# Shifts of two causes, by mode, that the constants cannot imitate.
+# Shifts by two causes, by mode, that the constants cannot imitate.
 BUMP = np.array([0.0, 1.0, 0.0, -1.0, 0.5, 0.0, -0.5, 1.0])
 DENT = np.array([1.0, 0.0, -1.0, 0.5, 0.0, 1.0, 0.0, -0.5])
 
 
 def whole_normal(sd):
-    """A normal prior about zero whose cuts do not matter."""
     return TruncatedNormal(0.0, sd, -_FAR * sd, _FAR * sd)
 
 
 def plate_model(shift=None, parameter=None):
-    """ln f = ln F0 + A (c - 1) + g(t) with g and its derivative by ``shift``: (m,) -> (m, n) each."""
+    """Model ln f = ln F0 + A (c - 1) + g(t); ``shift`` gives g and its derivative, (m,) -> (m, n) each."""
 
     def function(x):
         g, dg = (0.0, None) if shift is None else shift(x[:, 2])
@@ -51,17 +50,14 @@ def plate_model(shift=None, parameter=None):
 
 
 def straight(direction):
-    """Relative shifts direction * t."""
     return lambda t: (t[:, None] * direction, np.broadcast_to(direction, (len(t), len(direction))))
 
 
 def even(direction):
-    """Relative shifts direction * t^2."""
     return lambda t: (t[:, None] ** 2 * direction, 2.0 * t[:, None] * direction)
 
 
 def cause(name, prior, *, is_even=False, excludes=()):
-    """An effect of one parameter."""
     size = Parameter(f"size of {name}", "", prior, null=0.0, shown=PERCENT)
     said = {"title": f"a plate that is {name}", "note": "a toy", "check": "Look at it."}
     acts = {"change": lambda problem, facts: problem, "even": is_even, "excludes": excludes}
@@ -69,17 +65,14 @@ def cause(name, prior, *, is_even=False, excludes=()):
 
 
 def hypothesis(e, prior=0.1):
-    """That a plate has an effect."""
     return Hypothesis(e.name, e.family, e.variant, (e,), parameters=e.parameters, prior=prior)
 
 
 def of_one(*hypotheses):
-    """Hypotheses about the first plate."""
     return [(h, (0,)) for h in hypotheses]
 
 
 def with_evidence(own, of, probability=0.0):
-    """A hypothesis about a plate with its evidence."""
     return Tested(of, (0,), marginal_of([own], of, (0,)), probability)
 
 
@@ -89,7 +82,6 @@ def misread(i, prior=0.01):
 
 
 def with_slip(i, size):
-    """Relative shifts by one frequency that is misread."""
     return np.where(np.arange(len(F0)) == i, size, 0.0)
 
 
@@ -98,13 +90,13 @@ ANYTHING = Hypothesis(OTHER, OTHER, parameters=(DISCREPANCY,), prior=0.06, corre
 BENT, TWIN, DENTED, STIFF = (cause(name, whole_normal(0.02)) for name in ("bent", "twin", "dented", "stiff"))
 WARP = cause("warp", ScaledStudentT(0.1, 4.0, -0.8, 0.8), is_even=True)
 HEAVY = cause("heavy", ScaledStudentT(0.02, 4.0, 0.0, 0.16))
-# How they shift the modes: the twin as bent does, nearly, and stiff as constants do.
+# Shifts by the causes: "twin" is nearly "bent", and "stiff" is in the span of the constants.
 SHIFTS = {"bent": straight(BUMP), "twin": straight(BUMP + 0.02 * DENT), "dented": straight(DENT)}
 SHIFTS |= {"warp": even(DENT), "stiff": straight(A @ [0.5, 0.5]), "heavy": straight(-np.abs(DENT))}
 
 
 def measured(shift=0.0, noise=NOISE):
-    """Frequencies of constants 3 % above and 4 % below their means, shifted, with a draw of noise."""
+    """Frequencies for constants 3 % above and 4 % below their means, shifted, with a draw of noise."""
     return np.asarray(F0 * np.exp(A @ [0.03, -0.04] + shift) * (1.0 + noise * SCATTER))
 
 
@@ -113,7 +105,7 @@ def a_list(f, relative, resolution=0.0):
 
 
 def case(measurement, effects=(), *, name="toy", specimen=""):
-    """A plate with its list, and the models of what it may have."""
+    """A plate with its list, and models of its possible effects."""
     named = {"name": name, "specimen": specimen or name}
     of = replace(builtin("A1"), **named, unknowns=CONSTANTS, measurement=measurement)
     facts, zeros, unused = PlateFacts.of(of.plate, isotropic=True), np.zeros(len(F0)), (None,) * 4
@@ -123,30 +115,29 @@ def case(measurement, effects=(), *, name="toy", specimen=""):
 
 
 def with_causes(f, *effects, relative=NOISE, name="toy"):
-    """A plate with a list, which may have some of the causes above."""
     return case(a_list(f, relative), [(e, SHIFTS[e.name]) for e in effects], name=name)
 
 
 def log_normal_density(f, mean, covariance):
-    """Of a list whose logarithms are normal about those of ``mean``; covariance of f ln(f / mean), Hz^2."""
+    """Log density of a list with logarithms normal about ln(mean); covariance of f ln(f / mean), Hz^2."""
     away, log_det = f * np.log(f / mean), np.linalg.slogdet(2 * np.pi * covariance)[1]
     return float(-0.5 * away @ np.linalg.solve(covariance, away) - 0.5 * log_det)
 
 
 def exact_log_evidence(f, sigma, *causes, modes=None):
-    """Of the toy plate with normal priors, causes of normal sizes; modes : of the list, or the first ones."""
+    """Log evidence of the toy plate, priors and sizes of causes normal; modes : by default the first."""
     at = np.arange(len(f)) if modes is None else modes
     slope = np.column_stack([SD * A[at], *(sd * d[at] for d, sd in causes)]) * f[:, None]
     return log_normal_density(f, F0[at], slope @ slope.T + np.diag(sigma**2))
 
 
 def differences(function, x, step=1e-06):
-    """Central differences of a function (m, n) -> (m, k) at one point (n,), (k, n)."""
+    """Central differences, (k, n), of a function (m, n) -> (m, k) at one point (n,)."""
     h = step * np.eye(len(x))
     return (function(x + h) - function(x - h)).T / (2 * step)
 
 
 def pairs_of(causes, singles):
-    """Two at a time of some causes that can act together, with their priors among ``singles``."""
+    """Pairs of causes that can act together, with priors from those of ``singles``."""
     scales = set_scales(singles)
     return tuple(at_once(both, scales) for both in combinations(causes, 2) if go_together(*both))

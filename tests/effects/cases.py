@@ -1,4 +1,4 @@
-"""Plates with effects on Ritz and on finite elements, as the tests of effects need them."""
+"""Plates with effects on Ritz and finite elements, for the tests of effects."""
 
 from functools import lru_cache
 
@@ -15,7 +15,7 @@ from cpam_bayes.plate.reader import builtin
 from tests.plates import with_plate
 
 MODES = {"C1": 6, "A2": 6, "D3": 10}
-# A plate that none of the built-in ones is: C1 with its four edges simply supported.
+# C1 with four simply supported edges, which is not built in
 SUPPORTED = "C1 supported"
 BY_NAME = {effect.name: effect for effect in CATALOGUE}
 
@@ -36,8 +36,7 @@ def facts_of(problem, layup=(0.0,)):
     return PlateFacts(*size, from_angles(layup), problem.edges, isotropic=False, mass=1.0)
 
 
-# Where the effects that may be anywhere are put.
-PLACES = {"sensor_mass": (0.95, 0.95, 0.0), "damage": (0.5, 0.5, 0.05)}
+PLACES = {"sensor_mass": (0.95, 0.95, 0.0), "damage": (0.5, 0.5, 0.05)}  # places of such effects
 
 
 def placed(effect):
@@ -48,7 +47,6 @@ def placed(effect):
 
 
 def form(name, effect):
-    """The first form of an effect that a plate may have, with the priors for it, at its place."""
     return placed(variants(effect, facts(name))[0])
 
 
@@ -62,7 +60,7 @@ def with_effect(name, effect):
 
 
 def values_at(effect, sds):
-    """Values at multiples of the catalogue's standard deviation, each (len(sds),)."""
+    """Values of the parameters at multiples of the catalogue's standard deviation, (len(sds),) each."""
     return {key: np.array([effect.scaled(s)[key] for s in sds]) for key in effect.null}
 
 
@@ -73,19 +71,17 @@ def ritz_operator(problem, values, degree):
 
 
 def frequencies(problem, values, n=6, degree=9):
-    """Frequencies (n,) of one plate by Ritz."""
     stack = {name: np.array([value]) for name, value in values.items()}
     return _solved(ritz_operator(problem, stack, degree), stack, n)[0]
 
 
 def ritz(name, effect, sds=(0.0, 1.0), degree=13):
-    """Frequencies (len(sds), n_modes) of a plate with an effect, or of the bare plate, (1, n)."""
+    """Ritz frequencies (len(sds), n_modes) of a plate with an effect, or (1, n) of the bare plate."""
     problem, values = (with_effect(name, effect), values_at(effect, sds)) if effect else (bare(name), {})
     return _solved(ritz_operator(problem, values, degree), values, MODES.get(name, 6), effect)
 
 
 def elements(name, effect, sds=(0.0, 1.0), counts=(None, None), n_modes=None):
-    """The same on finite elements."""
     problem, values = with_effect(name, effect), values_at(effect, sds)
     space = fem_space(problem.edges, problem.nominal, *counts)
     return _solved(discretise_sparse(problem, space, values), values, n_modes or MODES.get(name, 6), effect)

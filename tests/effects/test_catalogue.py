@@ -30,8 +30,8 @@ from tests.effects import cases
 from tests.effects.cases import BY_NAME, MODES, SUPPORTED, elements, facts, form, ritz, values_at, with_effect
 
 PAGE = (Path(__file__).parents[2] / "docs" / "effects.md").read_text(encoding="utf-8")
-# Largest shift of a frequency at 1 sd, %, of the first 6, 6 and 10 modes of C1, A2 and D3. A mass lies at
-# (0.95, 0.95), a strip along x = length, a smooth damage of extent 0.05 at the centre.
+# Largest shift of a frequency at 1 sd, %, of the first 6, 6 and 10 modes of C1, A2 and D3. A mass is at
+# (0.95, 0.95), a strip along x = length, smooth damage of extent 0.05 at the centre.
 LARGEST_SHIFTS = """
 clamp_rotation          -   -3.8   -3.8
 clamp_translation       -   -6.1  -23.7
@@ -61,15 +61,14 @@ resin_skin           -6.9      -   -6.3
 viscoelastic          0.6    0.8    1.1
 """
 EXPECTED = {cells[0]: cells[1:] for cells in map(str.split, LARGEST_SHIFTS.strip().splitlines())}
-# Names of the contract: answers, stores and studies hold them.
+# Names in the contract: answers, stores and studies contain them.
 BESIDE = {"soft_clamp", "soft_support", "mode_identity", "outlier", "material", "layup", "swapped_sides"}
 KEPT_NAMES = BESIDE | set(EXPECTED)
 ON_THE_PLATE = [e for e in CATALOGUE if e.change or e.observe]
 OF_THE_PROBLEM = [e for e in CATALOGUE if e.change is not None]
 MEMBRANE = ("u", "v")
 CLAMPS = {"clamp_rotation", "clamp_translation", "soft_clamp", "clamp_slip", "clamp_length"}
-# Many forms, small elements or a dense matrix.
-LONG = ("air", "damage", "clamp_slip", "warp", "taper_x", "taper_y", "outline")
+LONG = ("air", "damage", "clamp_slip", "warp", "taper_x", "taper_y", "outline")  # many forms or big matrices
 
 
 def of_plates(effects):
@@ -82,7 +81,7 @@ def plates_with(effect):
 
 
 def first_plate(effect):
-    """A plate that can have the effect: free where it may be, else the thick cantilever."""
+    """A plate that can have the effect: the free one if possible, else the thick cantilever."""
     first, *_, last = plates_with(effect) * 2
     return first if first == "C1" else last
 
@@ -94,7 +93,6 @@ every_effect = pytest.mark.parametrize("effect", CATALOGUE, ids=by_name)
 
 @lru_cache
 def shifts(plate, effect):
-    """Relative shifts at one standard deviation of the catalogue, (n_modes,), %."""
     none, one = ritz(plate, form(plate, effect))
     return 100 * (one / none - 1)
 
@@ -114,18 +112,18 @@ def test_the_null_is_possible_and_sizes_are_shown_in_units_with_priors_of_studen
         assert p.null == 0.0
         assert p.prior.lower <= 0.0 < scale_of(p) < p.prior.upper, p.name
         unit, factor = p.display
-        assert factor == 1.0 or unit != p.unit  # what is shown in SI says so by its unit, or is a number
+        assert factor == 1.0 or unit != p.unit  # a value shown in SI has its unit, or is a number
         assert 1e-3 <= factor * scale_of(p) <= 1e6, p.name
         if isinstance(p.prior, Mixture):
             assert p.prior.fraction == 0.1
             assert p.prior.wide.sd >= 1.3 * p.prior.narrow.sd
             assert max(p.prior.upper, -p.prior.lower) > 4.0 * scale_of(p)
-        if effect.name in ("air", "outline"):  # known; of a square that holds it, any part alike
+        if effect.name in ("air", "outline"):  # known; the same over any part of its square
             continue
         tolerance = p.prior.parts[0][1]
         assert (type(tolerance), tolerance.degrees_of_freedom) == (ScaledStudentT, 4.0)
         if effect.name not in ("transverse_shear", "shear_ratio"):  # within a factor of two
-            # the cut takes off less than 4 % of the tails, which have to hold what is far off
+            # the truncation removes less than 4 % of the tails, which must reach far
             whole = ScaledStudentT(tolerance.scale, 4.0, min(p.prior.lower, 0.0) * 1e6, 1e6 * p.prior.upper)
             assert tolerance.log_density(0.0) - whole.log_density(0.0) < 0.04, p.name
 
@@ -145,19 +143,18 @@ def test_an_effect_says_what_it_acts_on_and_how_it_enters(effect):
 
 
 def test_what_the_catalogue_says_of_causes_is_listed():
-    # what nobody mistypes or mislays has no gross part, and what is a gross error alone is no mixture
+    # facts that nobody mistypes have no gross error, and purely gross errors are no mixture
     physics = {"transverse_shear", "shear_ratio", "membrane_stress", "viscoelastic", "resin_skin", "air"}
     misstated = {"thickness", "density", "length", "width", "frequency_scale", "outlier"}
     local = {"sensor_mass", "edge_mass", "damage", "clamp_slip", "support", "outline"}
     without = {e.name for e in CATALOGUE for p in e.sizes if not isinstance(p.prior, Mixture)}
     assert without == physics | misstated | local
-    # a sister plate has what is of the material and of the laboratory
+    # sister plates share errors of the material and of the laboratory
     common = {"air", "frequency_scale", "shear_ratio", "transverse_shear", "viscoelastic"}
     assert {e.name for e in ON_THE_PLATE if e.is_common_to_sisters} == common
     of_list = {"mode_identity", "outlier", "soft_support"}
     assert {e.name for e in CATALOGUE if e.belongs_to == "test"} == CLAMPS | of_list
-    # compliances of one clamp exclude each other and no others do
-    ways = ("clamp_rotation", "clamp_translation", "soft_clamp", "clamp_slip")
+    ways = ("clamp_rotation", "clamp_translation", "soft_clamp", "clamp_slip")  # no others are exclusive
     apart = {frozenset((a.name, b.name)) for a, b in combinations(CATALOGUE, 2) if not a.goes_with(b)}
     assert apart == {frozenset(p) for p in combinations(ways, 2)}
     assert all(a.goes_with(b) == b.goes_with(a) for a, b in combinations(CATALOGUE, 2))
@@ -175,8 +172,7 @@ def test_the_expected_size_may_depend_on_the_plate():
     for support in forms("support", first_frequency=120.0):
         assert support.scaled(1.0)["support_frequency"] == pytest.approx(12.0)
         assert support.parameters[0].prior.upper == pytest.approx(60.0)
-    # all losses, not the plate's alone
-    for measured, expected in ((None, 0.01), (0.004, 0.004), (0.03, 0.01), (0.0, 1e-4)):
+    for measured, expected in ((None, 0.01), (0.004, 0.004), (0.03, 0.01), (0.0, 1e-4)):  # the total loss
         (loss,) = forms("viscoelastic", loss_factor=measured)
         assert loss.scaled(1.0)["loss_tangent"] == pytest.approx(expected)
         assert loss.parameters[0].prior.upper == pytest.approx(5.0 * expected)
@@ -211,7 +207,7 @@ def test_what_leaves_a_plate_alike_is_no_effect_on_it():
         ("swapped_sides", replace(metal, edges="CFFF"), True),
         ("layup", oblong, True),
         *(("layup", of, False) for of in (metal, one_way, unknown)),
-        # only simple supports give
+        # only simple supports can be compliant
         *(("soft_support", replace(oblong, edges=e), "S" in e) for e in ("FFFF", "CFFF", "CFSF", "SSSS")),
     ):
         assert BY_NAME[name].applies_to(of) is applies, (name, of)
@@ -224,8 +220,7 @@ def test_null_gives_back_the_bare_plate(plate, effect):
     degree = 7 if sprung else 9
     found = ritz(plate, effect, (0.0, 1.0), degree=degree)[0]
     expected = ritz(plate, None, degree=degree)[0]
-    # blocks that an effect joins are solved with other rounding, 1e-8 to 1e-6 of a low frequency; a rigid
-    # clamp is a stiff spring, which may lower a frequency by 1e-4, and rounds the more the higher the degree
+    # joined blocks round otherwise, 1e-8 to 1e-6 of a low frequency; a rigid clamp is a stiff spring, 1e-4
     np.testing.assert_allclose(found, expected, rtol=1e-4 if sprung else 2e-6)
 
 
@@ -242,8 +237,7 @@ def test_forms_are_symmetric_mass_definite_and_stiffness_semidefinite_within_the
         scale = 1 / np.sqrt(np.diagonal(mass, axis1=1, axis2=2))
         of_mass, lam = (np.linalg.eigvalsh(x * scale[:, :, None] * scale[:, None]) for x in (mass, stiffness))
         assert of_mass.min() > 1e-6
-        # rigid-body motions leave rounding: 1e-14 of the largest eigenvalue
-        assert np.all(lam[:, 0] > -1e-13 * lam[:, -1])
+        assert np.all(lam[:, 0] > -1e-13 * lam[:, -1])  # rigid-body motions round to 1e-14 of the largest
 
 
 @pytest.mark.parametrize(("plate", "effect"), one_plate)
@@ -256,8 +250,7 @@ def test_a_problem_with_an_effect_can_be_sent_and_says_what_couples_stretching_w
     fields = [(f.left.field in MEMBRANE, f.right.field in MEMBRANE) for f in problem.forms("stiffness")]
     c = np.atleast_2d(problem.coefficients(values, "stiffness"))[0][[left != right for left, right in fields]]
     largest = np.abs(c).max(initial=0.0) / np.abs(cases.bare(plate).coefficients({}, "stiffness")).max()
-    # the layups of these plates are symmetric: rounding of B, 1e-9 of the largest stiffness
-    assert (largest > 1e-9) == effect.couples_stretching
+    assert (largest > 1e-9) == effect.couples_stretching  # symmetric layups: B is rounding, 1e-9
 
 
 @pytest.mark.parametrize(("plate", "effect"), one_plate)
@@ -266,14 +259,13 @@ def test_complex_step_of_the_coefficients_is_their_difference_quotient(plate, ef
     problem = with_effect(plate, effect)
     others = {name: np.array([value]) for name, value in effect.scaled(sds).items()}
     for p, kind in product(effect.parameters, MATRICES):
-        # at the null the springs of a clamp change within 1e-4 of their compliance's standard deviation
-        h, x = scale_of(p) * (1e-3 if sds else 1e-6), sds * scale_of(p)
+        h, x = scale_of(p) * (1e-3 if sds else 1e-6), sds * scale_of(p)  # a clamp's springs vary within 1e-4
         if sds or p.prior.lower < 0.0:
             steps, weights, tolerance = (-2, -1, 1, 2), (1 / 12, -8 / 12, 8 / 12, -1 / 12), 1e-5
-        else:  # one-sided quotients of third order, with steps a fiftieth of the least compliance at most
+        else:  # one-sided quotients of third order, with steps of at most a fiftieth of the least compliance
             steps, weights, tolerance = (0, 1, 2, 3), (-11 / 6, 3.0, -1.5, 1 / 3), 1e-4
         at = problem.coefficients({**others, p.name: x + h * np.array(steps)}, kind)
-        if at.ndim == 1:  # the effect leaves this matrix alone
+        if at.ndim == 1:  # the effect does not change this matrix
             continue
         analytic = np.imag(problem.coefficients({**others, p.name: np.array([x + 1e-30j])}, kind)[0]) / 1e-30
         quotient = np.array(weights) @ at / h
@@ -308,7 +300,7 @@ def test_coefficients_in_closed_form_are_those_of_the_general_laminate(plate):
             expected = np.swapaxes(full.imag / step[..., None], 1, 2)
             size = np.abs(value).max(axis=1)[:, None]
             assert np.all(np.abs(value - full.real[:, 0]) <= 1e-12 * size)
-            # of the largest slope along a parameter, or of what rounding leaves of none
+            # relative to the largest slope along a parameter, or to the rounding of a zero one
             largest = np.maximum(np.abs(expected).max(axis=1), 1e-3 * size / np.abs(x))
             assert np.all(np.abs(slope - expected) <= 1e-12 * largest[:, None])
 
@@ -319,25 +311,22 @@ def test_coefficients_in_closed_form_are_those_of_the_general_laminate(plate):
         pytest.param(plate, e, id=f"{plate}-{e.name}", marks=[pytest.mark.slow] if e.name in LONG else [])
         for e in OF_THE_PROBLEM
         for plate in plates_with(e)
-        # shifts of other plates are those of the page
-        if plate == first_plate(e) or e.name.startswith("clamp")
+        if plate == first_plate(e) or e.name.startswith("clamp")  # the page has the others' shifts
     ],
 )
 def test_ritz_and_finite_elements_agree(plate, effect):
     effect = form(plate, effect)
-    # elements must be smaller than the bell and than the loose corner, and end where a corner is missing
+    # elements must be smaller than the bell and the loose corner, and end at the edge of a missing corner
     counts = {"damage": (40, 40), "clamp_slip": (24, 40), "outline": (50, 50)}.get(effect.name, (16, 16))
     f, g = ritz(plate, effect), elements(plate, effect, counts=counts)
     np.testing.assert_allclose(f, g, rtol=1e-3)
     a, b = f[1] / f[0] - 1, g[1] / g[0] - 1
-    # shifts agree within 2 %, or within 0.02 % of the frequency
-    assert np.all(np.abs(a - b) < np.maximum(0.02 * np.abs(b), 2e-4))
+    assert np.all(np.abs(a - b) < np.maximum(0.02 * np.abs(b), 2e-4))  # 2 % of the shift, or 0.02 % of f
 
 
 @pytest.mark.parametrize(("plate", "effect"), of_plates([e for e in ON_THE_PLATE if e.sign]))
 def test_an_effect_with_a_sign_shifts_no_frequency_the_other_way(plate, effect):
-    # rounding, mostly that of the stiff springs of a clamp
-    assert np.all(effect.sign * shifts(plate, effect) > -0.02)
+    assert np.all(effect.sign * shifts(plate, effect) > -0.02)  # rounding, mostly of a clamp's stiff springs
 
 
 @pytest.mark.parametrize(
@@ -361,8 +350,7 @@ def test_the_slope_at_the_null_is_zero_on_a_free_orthotropic_plate_if_the_record
     f = ritz("C1", form("C1", effect), (0.0, 0.5, 1.0), degree=9)
     small, large = (np.abs(row / f[0] - 1).max() for row in f[1:])
     if effect.even:
-        # a quadratic shift: a quarter at half the size, but for the fourth power at 20 degrees
-        assert small / large == pytest.approx(0.25, rel=0.15)
+        assert small / large == pytest.approx(0.25, rel=0.15)  # quadratic, but a fourth power at 20 degrees
     else:
         assert small / large > 0.4  # half the shift at half the size
 
@@ -382,8 +370,7 @@ def stiffener():
 @pytest.mark.slow
 def test_it_is_claimed_where_it_is_hidden_and_in_the_document_with_its_unit_and_on_the_screen():
     own, noise = stiffener(), 1e-3 * np.random.default_rng(1).standard_normal(10)
-    # by elements, with 0.1 % of noise
-    f = elements("C1", own, (4.0,), counts=(24, 48), n_modes=10)[0] * (1.0 + noise)
+    f = elements("C1", own, (4.0,), counts=(24, 48), n_modes=10)[0] * (1.0 + noise)  # with 0.1 % of noise
     listed = Measurement(np.sort(f).round(1), 0.1, 1e-3, None, ("",) * 10, complete=True)
     hidden = replace(builtin("C1"), measurement=listed)
     found = diagnose(hidden, catalogue=(*CATALOGUE, own), next_test="never")
@@ -392,11 +379,9 @@ def test_it_is_claimed_where_it_is_hidden_and_in_the_document_with_its_unit_and_
     document = json.loads(json.dumps(found.to_dict()))
     (size,) = (h["parameters"]["stiffener"] for h in document["hypotheses"] if h["cause"] == "stiffener")
     assert (size["unit"], size["mean"]) == ("kN cm2", pytest.approx(4.0 * 5.0, abs=3.0 * size["sd"]))
-    # C1 is 3.2 mm thick
     assert document["priors"]["effects"]["stiffener"]["stiffener"]["scale"] == pytest.approx(5.0 * 3.2 / 3)
     assert "kN cm2" in found.summary(verbose=True)
-    # checks stand beside each other where two causes are claimed
-    both = replace(found.diagnosis, claim=Claim("class", ("stiffener", "warp"), 0.99))
+    both = replace(found.diagnosis, claim=Claim("class", ("stiffener", "warp"), 0.99))  # both checks
     screen = replace(found, diagnosis=both).summary(verbose=True)
     (line,) = (line for line in screen.splitlines() if own.check in line)
     assert line.split() == f"{own.title} {own.check}".split()
@@ -407,11 +392,11 @@ def test_it_raises_frequencies_alike_on_both_discretisations():
     a, b = (f[1] / f[0] - 1 for f in each)
     assert np.all(a > 0)
     assert a.max() > 1e-3
-    np.testing.assert_allclose(a, b, atol=2e-4)  # elements of half the bell's width
+    np.testing.assert_allclose(a, b, atol=2e-4)  # elements half as wide as the bell
 
 
 def test_the_page_holds_the_table_of_the_catalogue_with_a_reason_for_every_cause():
-    """``python -m cpam_bayes.effects.table docs/effects.md`` writes it."""
+    """To rewrite it: ``python -m cpam_bayes.effects.table docs/effects.md``."""
     assert f"{BEGIN}\n{catalogue_table()}\n{END}" in PAGE
     _, _, *rows = catalogue_table().splitlines()
     assert len(rows) == len(CATALOGUE)
@@ -420,9 +405,9 @@ def test_the_page_holds_the_table_of_the_catalogue_with_a_reason_for_every_cause
 
 PACKAGE = Path(cpam_bayes.__file__).parent
 NAMES = {e.name for e in CATALOGUE} | {p.name for e in CATALOGUE for p in e.parameters}
-# Words of the plate file, which name its numbers and tables where no effect is meant.
+# Words of the plate file for numbers and tables, where no effect is meant.
 PLATE_WORDS = {*SIZES, "air", "air_density", "frequency_scale", "layup", "material", "outline"}
-# Truths that are made without the catalogue, and their scores, name what they hide: they may not ask it.
+# Truths independent of the catalogue, and their scores, name what they hide but must not use it.
 VALIDATION = PACKAGE.parent / "studies" / "validation"
 TRUTHS = [path for folder in ("independent", "claims") for path in sorted((VALIDATION / folder).glob("*.py"))]
 MODULES = [p for p in sorted(PACKAGE.rglob("*.py")) if "effects" not in p.relative_to(PACKAGE).parts]
@@ -434,8 +419,7 @@ def known(source, names):
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
 def test_a_module_outside_the_effects_names_none(path):
-    # where causes are compared and shown no such name can be anything else
-    of_diagnosis = NAMES | {e.family for e in CATALOGUE}
+    of_diagnosis = NAMES | {e.family for e in CATALOGUE}  # such a name can only mean an effect
     names = of_diagnosis if "diagnos" in str(path.relative_to(PACKAGE)) else NAMES - PLATE_WORDS
     assert known(path.read_text(encoding="utf-8"), names) == set()
 

@@ -1,4 +1,4 @@
-"""Strips, corners, soft supports, pads, masses: closed forms, places alike, and independent elements."""
+"""Strips, corners, soft supports, pads, masses: closed forms, equivalent places, independent elements."""
 
 from dataclasses import replace
 from functools import partial
@@ -22,7 +22,7 @@ from tests.plates import plate
 from validation.independent import elements, true_plate
 from validation.independent.true_plate import Mass, Patch, TruePlate, natural_frequencies
 
-ALUMINIUM = {"E1": 70e9, "nu12": 0.0}  # a strip so narrow that it is a beam, h / a = 1 / 300
+ALUMINIUM = {"E1": 70e9, "nu12": 0.0}  # a strip narrow enough to be a beam, h / a = 1 / 300
 LENGTH, WIDTH, HEIGHT, DENSITY = 0.3, 0.02, 1e-3, 2700.0
 BEAM_MASS = LENGTH * WIDTH * HEIGHT * DENSITY
 RIGIDITY = 70e9 * HEIGHT**3 / 12
@@ -33,7 +33,7 @@ def beam(edges):
 
 
 def first_of_a_beam(b):
-    """Hz, of the frequency parameter b of a beam."""
+    """Frequency, Hz, for the frequency parameter b of a beam."""
     return float(b**2 / (2 * np.pi) * np.sqrt(RIGIDITY / (DENSITY * HEIGHT)) / LENGTH**2)
 
 
@@ -50,7 +50,7 @@ def test_a_mass_along_its_tip_lowers_a_cantilever_as_a_tip_mass_does(share):
     problem = beam("CFFF")
     loaded = extend(problem, strip("x = length", facts_of(problem)), facts_of(problem))
     (found,) = frequencies(loaded, {"edge_mass": share * BEAM_MASS}, n=1, degree=10)
-    # the rotary inertia of a tip half a thickness off, (h / a)^2 = 1e-5, and shear
+    # rotary inertia of a tip half a thickness off, (h / a)^2 = 1e-5, and shear
     assert found == pytest.approx(first_of_a_beam(brentq(residual, 0.5, 1.8752)), rel=2e-4)
 
 
@@ -68,8 +68,7 @@ def test_a_strip_without_its_end_is_a_shorter_beam():
     shorter = extend(problem, replace(OUTLINE, change=partial(_cut, (1.0, 1.0, 1.0))), facts_of(problem))
     cut_off = {"missing_area": 0.99 * WIDTH / LENGTH}  # a square as wide as the strip
     f, full = (frequencies(p, v, n=1, degree=12) for p, v in ((shorter, cut_off), (problem, {})))
-    # a hundredth of the end is left: it weighs 0.07 % of the strip, of which a tip mass counts four times
-    assert f[0] / full[0] == pytest.approx((0.3 / 0.28) ** 2, rel=5e-3)
+    assert f[0] / full[0] == pytest.approx((0.3 / 0.28) ** 2, rel=5e-3)  # 0.07 % of the mass is left there
 
 
 @pytest.mark.parametrize("weighed", [False, True])
@@ -86,7 +85,7 @@ def test_a_weighed_plate_keeps_its_mass_without_a_corner(weighed):
     ("edges", "layup", "loaded", "mass", "strips", "corners"),
     [
         ("FFFF", None, False, (0.5, 0.5), "x = length, y = width", [(1, 1)]),
-        # half a turn alone
+        # a rotation by 180 degrees only
         ("FFFF", "[30/-30]_s", False, (0.5, 0.0), "x = length, y = width", [(1, 1), (1, 0)]),
         ("FFFF", None, True, (0.0, 0.0), "x = length, y = width, x = 0, y = 0", [*product((1, 0), (1, 0))]),
         ("CFFF", None, False, (0.0, 0.5), "x = length, y = width", [(1, 1)]),
@@ -110,7 +109,7 @@ def test_places_free_edges_and_corners_that_look_alike_are_one(edges, layup, loa
     carry = variants(EDGE_MASS, of)
     assert ", ".join(form.variant.removeprefix("along ") for form in carry) == strips
     assert (EDGE_MASS in applicable(of)) == bool(strips)
-    # of the plate's mass: one standard deviation, and at most
+    # fraction of the plate's mass: one standard deviation, and at most
     for form, one, most in [(anywhere, 0.01, 0.1), *((form, 0.003, 0.05) for form in carry)]:
         size = form.parameters[0]
         assert (scale_of(size), size.prior.upper) == pytest.approx((one * of.mass, most * of.mass))
@@ -125,7 +124,7 @@ def test_edges_that_an_effect_may_act_along_are_marked():
 
 
 def first_of_a_strip_on_springs(c):
-    """Frequency parameter b of a beam on end springs k = pi^4 EI / (2 c a^3), symmetric: its first mode.
+    """Parameter b of the first, symmetric mode of a beam on end springs k = pi^4 EI / (2 c a^3).
     w = cos(b s) + r cosh(b s), s from -1/2 to 1/2: w'' = 0 at the ends, and |EI w'''| = k w there."""
 
     def residual(b):
@@ -141,7 +140,7 @@ def test_a_strip_on_soft_supports_is_a_beam_on_end_springs(compliance):
     problem = beam("SFSF")
     soft = extend(problem, SOFT_SUPPORT, facts_of(problem))
     (found,) = frequencies(soft, {"support_compliance": compliance}, n=1, degree=10)
-    # Poisson's ratio is zero; shear takes (h / a)^2
+    # Poisson's ratio is zero; shear contributes (h / a)^2
     assert found == pytest.approx(first_of_a_beam(first_of_a_strip_on_springs(compliance)), rel=2e-4)
     if compliance == 0.01:  # Rayleigh: the reactions EI (pi / a)^3 of the mode do the work
         assert found / first_of_a_beam(np.pi) - 1 == pytest.approx(-4 * compliance / np.pi**2, rel=0.02)
@@ -178,7 +177,7 @@ def of_true(edges="FFFF"):
 
 
 def of_package(effect, values, edges="FFFF"):
-    """Relative shifts of the same plate by Ritz."""
+    """Relative shifts by Ritz for the plate of the independent elements."""
     problem = of_true(edges)
     changed = extend(problem, effect, facts_of(problem))
     f, none = (frequencies(p, v, n=N_MODES, degree=13) for p, v in ((changed, values), (problem, {})))
@@ -186,7 +185,6 @@ def of_package(effect, values, edges="FFFF"):
 
 
 def of_elements(true):
-    """Relative shifts by the independent elements."""
     whole = replace(TRUE, edges=true.edges, mesh=true.mesh)
     return natural_frequencies(true, N_MODES) / natural_frequencies(whole, N_MODES) - 1
 
@@ -197,8 +195,7 @@ def test_a_strip_shifts_as_in_independent_elements(edge):
     form = strip({"x1": "x = length", "y1": "y = width"}[edge], facts_of(beam("FFFF")))
     found, expected = of_package(form, {"edge_mass": m}), of_elements(replace(TRUE, strips=((edge, m),)))
     assert expected.min() < -0.02
-    # the strip has a rotary inertia here, of (h / a)^2; that elements are coarse cancels
-    np.testing.assert_allclose(found, expected, atol=3e-4)
+    np.testing.assert_allclose(found, expected, atol=3e-4)  # the strip has a rotary inertia, (h / a)^2
 
 
 def test_a_supported_plate_gives_as_in_independent_elements():
@@ -218,8 +215,7 @@ def test_a_square_cut_off_shifts_as_in_independent_elements(extent):
     missing = form.parameters[0].prior.upper
     assert missing == pytest.approx(0.99 * side**2 / (TRUE.length * TRUE.width))
     left = of_package(form, {"missing_area": missing}) - expected
-    # products of polynomials do not bend away from what is gone: a part of what the form error counts
-    assert np.sqrt(np.mean(left**2)) < 0.2 * np.sqrt(np.mean(expected**2))
+    assert np.sqrt(np.mean(left**2)) < 0.2 * np.sqrt(np.mean(expected**2))  # part of the form error
     assert expected.max() > 0.01
 
 
@@ -227,7 +223,7 @@ def test_pads_shift_as_square_blocks_do_on_independent_elements():
     at, frequency, n = 0.25, 30.0, 4
     (form,) = (f for f in FORMS if f"{at:g} of" in f.variant)
     found = of_package(form, {"support_frequency": frequency})
-    reach = 0.05 * (2 * np.arange(n) + 1 - n) / n  # blocks of a tenth of the sides, each n x n springs
+    reach = 0.05 * (2 * np.arange(n) + 1 - n) / n  # blocks of a tenth of the sides, n x n springs each
     mesh, _ = true_plate._mesh_of(TRUE)
     k, m, held = true_plate.matrices(TRUE)
     spring = (2 * np.pi * frequency) ** 2 * TRUE.total_mass / (4 * n**2)
@@ -240,19 +236,18 @@ def test_pads_shift_as_square_blocks_do_on_independent_elements():
     np.testing.assert_allclose(found, expected, atol=0.03 * expected.max())
 
 
-# Places that no frequency tells apart, of a mass
+# Places of a mass that no frequency tells apart
 PLACE = (0.83, 0.62)
 METAL = {"E1_GPa": 70.0, "nu12": 0.33}
 
 
 def specimen(layup, edges, width=200.0):
-    """A metal plate where there is no layup."""
     constants, of = (SHEET, {"layup": layup}) if layup else ({**METAL, "isotropic": True}, {})
     return cb.read_plate(described((200.0, width, 2.0), 1600.0, constants, edges=edges, **of))
 
 
 def with_mass(bare, place):
-    """Of independent elements with a mass of 6 g at a place over the sides."""
+    """Frequencies of independent elements with a mass of 6 g at a place relative to the sides."""
     of, stated = bare.plate, METAL if bare.material.isotropic else SHEET
     angles = tuple(of.layup.angles_deg.tolist())
     constants = {n.removesuffix("_GPa"): v * (1e9 if "GPa" in n else 1.0) for n, v in stated.items()}
@@ -295,7 +290,7 @@ def test_a_known_mass_another_test_and_the_place_itself_leave_fewer_images():
     first, second = (PlateFacts.of(p.plate, isotropic=True) for p in (free, held))
     assert len(images_of(PLACE, [PlateFacts.of(free.plate, isotropic=True, loaded=True)])) == 1
     assert images_of(PLACE, [first, second]) == (PLACE, pytest.approx((0.83, 0.38)))
-    # beside a line of symmetry the image is the place
+    # next to a line of symmetry the image coincides with the place
     assert images_of((0.83, 0.49), [first], (0.01, 0.03)) == ((0.83, 0.49), pytest.approx((0.17, 0.49)))
 
 
@@ -307,8 +302,7 @@ def test_draws_are_laid_on_the_optimum_whichever_image_and_of_two_whichever_is_f
     optimum = np.array([7.0, 0.006, 0.80, 0.55, 0.004, 0.002, 0.90, 0.95, 0.003])
     true = optimum + 1e-3 * rng.standard_normal((400, 9)) * [1, 0, 1, 1, 0, 0, 1, 1, 0]
     draws = true.copy()
-    # a square of metal: x and y exchanged of some, the two masses exchanged of others
-    turned, exchanged = rng.random(400) < 0.5, rng.random(400) < 0.5
+    turned, exchanged = rng.random(400) < 0.5, rng.random(400) < 0.5  # exchange x and y, or the two masses
     draws[np.ix_(turned, [2, 3])] = draws[np.ix_(turned, [3, 2])]
     draws[np.ix_(exchanged, range(1, 9))] = draws[np.ix_(exchanged, [5, 6, 7, 8, 1, 2, 3, 4])]
     facts = [PlateFacts.of(specimen("", "FFFF").plate, isotropic=True)]

@@ -38,7 +38,6 @@ def applied(problem, name, layup=(0.0,)):
 
 
 def at(name, size):
-    """A size of an effect of one parameter."""
     (parameter,) = BY_NAME[name].parameters
     return {parameter.name: np.asarray(size)}
 
@@ -60,7 +59,7 @@ def test_a_weighed_plate_keeps_its_mass_where_a_size_is_another_one(name):
     original, effect = plate(*STATED.values(), PLY, CROSS_PLY_16S), placed(BY_NAME[name])
     weighed = replace(facts_of(original, CROSS_PLY_16S), weighed=True)
     state = extend(original, effect, weighed).state({p.name: np.asarray(0.04) for p in effect.parameters})
-    expected = 1.04 if name == "density" else 1.0  # of a weighed plate that is a wrong mass
+    expected = 1.04 if name == "density" else 1.0  # for a weighed plate that is a wrong mass
     mass = float(state.density * state.thickness * state.area)
     assert mass == pytest.approx(expected * 1600.0 * 0.003 * 0.26 * 0.2, rel=1e-12)
 
@@ -111,12 +110,11 @@ def test_stiffness_effects_change_their_own_entries_alone():
     expected = plain.copy()
     expected[6:, 6:] *= np.exp(0.3)
     np.testing.assert_allclose(changed.stiffness(), expected, rtol=1e-14)
-    assert bare("C1").state({}).stiffness()[6, 6] == plain[6, 6]  # the bare plate is left alone
+    assert bare("C1").state({}).stiffness()[6, 6] == plain[6, 6]  # the bare plate is unchanged
     ratio = with_effect("C1", BY_NAME["shear_ratio"]).state(at("shear_ratio", -0.2))
     assert ratio.constants["G13"] == pytest.approx(0.8 * 6.25e9)
     np.testing.assert_array_equal(ratio.stiffness()[:6, :6], plain[:6, :6])
-    # the shear modulus of each material of a hybrid is another one
-    of = cb.read_plate(hybrid())
+    of = cb.read_plate(hybrid())  # each material of a hybrid has its own shear modulus
     problem = extend(plate_problem(of), BY_NAME["shear_ratio"], PlateFacts.of(of.plate, isotropic=False))
     changed = problem.state(at("shear_ratio", 0.1)).constants
     for name, value in plate_problem(of).nominal.constants.items():
@@ -128,8 +126,7 @@ def test_resin_skin_is_a_thinner_laminate_between_two_resin_plies():
     found = with_effect("C1", BY_NAME["resin_skin"]).state(at("resin_skin", t)).stiffness()
     core = replace(bare("C1").nominal, thickness=np.asarray(h - 2 * t)).stiffness()
     q = 3.5e9 / (1 - 0.35**2)
-    # parallel axes: each skin has its own inertia and that of its distance from the midplane
-    inertia = 2 * (t**3 / 12 + t * ((h - t) / 2) ** 2)
+    inertia = 2 * (t**3 / 12 + t * ((h - t) / 2) ** 2)  # parallel axes
     for i, added in ((0, 2 * t * q), (3, inertia * q), (5, inertia * 3.5e9 / 2.7)):
         assert found[i, i] == pytest.approx(core[i, i] + added)
     np.testing.assert_allclose(found[6:, 6:], core[6:, 6:], rtol=1e-12)
@@ -162,8 +159,7 @@ def test_swapped_sides_are_the_plate_with_its_sides_exchanged(name):
 
 @pytest.mark.parametrize(("edges", "swapped"), [("FFFF", "FFFF"), ("CFFF", "FCFF")])
 def test_a_skewed_isotropic_plate_is_the_same_seen_from_its_other_side(edges, swapped):
-    # the parallelogram of sides a, b mirrored in its bisector has sides b, a
-    of_each = ((0.3, 0.2), edges), ((0.2, 0.3), swapped)
+    of_each = ((0.3, 0.2), edges), ((0.2, 0.3), swapped)  # a parallelogram a, b and its reflection b, a
     plates = (plate(*sides, 0.004, 2700.0, {"E1": 70e9, "nu12": 0.3}, edges=of) for sides, of in of_each)
     one, other = (applied(p, "skew") for p in plates)
     f, g = (frequencies(p, {"skew_deg": 15.0}, degree=9) for p in (one, other))
@@ -177,8 +173,8 @@ def test_a_square_turned_to_a_rhombus_has_its_area_in_the_mass():
     np.testing.assert_allclose(skewed, np.cos(np.deg2rad(8.0)) * plain, rtol=1e-13)
 
 
-# Of a root spring EI / (c L), and of one EI / (c L^3): at b = (frequency parameter)^(1/2) this and
-# 1 + cos(b) cosh(b) are zero together.
+# For root springs EI / (c L) and EI / (c L^3): at b = (frequency parameter)^(1/2) this plus 1 + cos(b)
+# cosh(b) is zero.
 ROOTS = {
     "rotation": lambda b, c: c * b * (np.cos(b) * np.sinh(b) - np.sin(b) * np.cosh(b)),
     "translation": lambda b, c: -c * b**3 * (np.cos(b) * np.sinh(b) + np.sin(b) * np.cosh(b)),
@@ -192,8 +188,7 @@ def test_a_strip_on_a_spring_has_the_frequency_of_a_beam(way, c):
     found = frequencies(applied(strip, f"clamp_{way}"), {f"{way}_compliance": c}, n=1, degree=7)[0]
     b = brentq(lambda b: 1 + np.cos(b) * np.cosh(b) + ROOTS[way](b, c), 1.0, 2.0)
     expected = b**2 / (2 * np.pi * length**2) * np.sqrt(e * h**2 / (12 * rho))
-    # the plate's shear and rotary inertia are worth 1e-4, the rigid clamp's own spring 6e-5
-    assert found == pytest.approx(expected, rel=5e-4)
+    assert found == pytest.approx(expected, rel=5e-4)  # shear, rotary inertia 1e-4; clamp's spring 6e-5
 
 
 def test_rotation_and_translation_of_a_clamp_go_together_and_slip_goes_alone():
@@ -211,7 +206,7 @@ def test_rotation_and_translation_of_a_clamp_go_together_and_slip_goes_alone():
 
 @pytest.mark.parametrize(("aspect", "expected"), [(1.0, 0.579), (1.5, 0.690), (2.0, 0.757)])
 def test_heaving_plate_moves_the_added_mass_of_the_literature(aspect, expected):
-    # in units of rho pi / 4 short^2 long (Meyerhoff, J. Ship Research 14, 1970)
+    # unit rho pi / 4 short^2 long (Meyerhoff, J. Ship Res. 14, 1970)
     t, w = np.polynomial.legendre.leggauss(120)
     points = np.stack(np.meshgrid((t + 1) / 2, (t + 1) / 2, indexing="ij"), axis=-1).reshape(-1, 2)
     moments = np.outer(w / 2, w / 2).ravel() @ PressureJumps(aspect, 1.0)(points)
@@ -240,12 +235,10 @@ def test_residual_stress_is_in_equilibrium_free_of_edge_loads_and_of_the_stated_
     c = term.coefficients(problem.nominal, {"residual_stress": np.asarray(1e6)})
     t = np.linspace(0, 1, 401)
     grid = np.stack(np.meshgrid(t, t, indexing="ij"), axis=-1).reshape(-1, 2)
-    # the coefficients hold the area and the two sides that derivatives are divided by
-    each = zip(c, term.forms, (a / b, b / a, 1.0), strict=True)
+    each = zip(c, term.forms, (a / b, b / a, 1.0), strict=True)  # including the area and the two sides
     n_x, n_y, n_xy = (q * form.weight(grid).reshape(401, 401) * scale for q, form, scale in each)
     assert max(np.abs(n).max() for n in (n_x, n_y, n_xy)) / 3e-3 == pytest.approx(1e6, rel=1e-12)
-    # N_x,x + N_xy,y = 0 and N_xy,x + N_y,y = 0, by differences of second order
-    for first, second in ((n_x / a, n_xy / b), (n_xy / a, n_y / b)):
+    for first, second in ((n_x / a, n_xy / b), (n_xy / a, n_y / b)):  # N_x,x + N_xy,y = 0 = N_xy,x + N_y,y
         along, across = np.gradient(first, t[1], axis=0), np.gradient(second, t[1], axis=1)
         assert np.abs(along + across)[1:-1, 1:-1].max() < 1e-3 * np.abs(along).max()
 
@@ -258,14 +251,13 @@ def test_loss_tangent_stiffens_by_its_share_of_pi_per_unit_of_log_frequency():
 
 
 def strains(problem, space, sags):
-    """Generalised strains (n_points, 8, n) of a shallow cap and the points' weights times the area."""
+    """Generalised strains (n_points, 8, n) of a shallow cap, and the points' weights times the area."""
     found, area = strains_of_a_flat_plate(space, problem.nominal)
     rule, sides = space.quadrature(AREA), (float(problem.nominal.length), float(problem.nominal.width))
     start = sum(space.dimension(f) for f in FIELDS[: FIELDS.index("w")])
     w = slice(start, start + space.dimension("w"))
     w_x, w_y = (space.evaluate("w", rule, d) / side for d, side in zip(("x", "y"), sides, strict=True))
-    # w0 = sag_x 4 xi (1 - xi) + sag_y 4 eta (1 - eta)
-    each = zip(sags, rule.points.T, sides, strict=True)
+    each = zip(sags, rule.points.T, sides, strict=True)  # w0 = sag_x 4 xi (1 - xi) + sag_y 4 eta (1 - eta)
     slope_x, slope_y = (sag * 4 * (1 - 2 * at) / side for sag, at, side in each)
     found[:, 0, w] += slope_x[:, None] * w_x
     found[:, 1, w] += slope_y[:, None] * w_y
@@ -301,8 +293,7 @@ def test_stiffness_with_an_effect_is_the_energy_of_its_strains_by_quadrature(nam
         for block in (slice(3, 6), slice(6, 8)):
             stiffness[:, block, block] *= bell[:, None, None]
     expected = np.einsum("p,pin,pij,pjm->nm", area, b, stiffness, b, optimize=True)
-    # both integrate polynomials exactly; the bell is narrow for the rule that is compared with
-    tolerance = 2e-3 if name == "damage" else 1e-11
+    tolerance = 2e-3 if name == "damage" else 1e-11  # the bell is narrow for the rule
     np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * np.abs(expected).max())
 
 
@@ -335,7 +326,6 @@ def test_every_effect_works_with_an_unknown_layup():
 
 
 def steps(text):
-    """The layup that each step gives."""
     layup = parse_layup(text)
     return {s.text: tuple(layup.angles_deg[s.order(layup.n_plies)].tolist()) for s in neighbours(layup)}
 
@@ -345,18 +335,16 @@ def step(of, text):
 
 
 def test_neighbours_of_short_layups_are_those_found_by_hand():
-    # with ply 1 missing, turned over, it is the one without the third
+    # with ply 1 missing and turned over, it is the one without the third
     missing = {"ply 1 missing": (90, 0), "ply 2 missing": (0, 0), "plies 1 and 3 missing": (90,)}
     assert steps("[0/90/0]") == {**missing, "plies 1 and 2 exchanged": (90, 0, 0)}
-    # exchanged, it is the same plate turned over
     assert steps("[0/90]") == {"ply 1 missing": (90,), "ply 2 missing": (0,)}
     one = {"ply 1 missing": (90, 90, 0), "ply 2 missing": (0, 90, 0)}
     two = {"plies 1 and 4 missing": (90, 90), "plies 2 and 3 missing": (0, 0)}
     exchanged = {"plies 1 and 2 exchanged": (90, 0, 90, 0)}
     exchanged["plies 1 and 2, 3 and 4 exchanged"] = (90, 0, 0, 90)
     assert steps("[0/90]_s") == one | two | exchanged
-    # the upper half is no image of the lower: its steps are others
-    missing = {f"ply {i} missing" for i in (1, 2, 3)}
+    missing = {f"ply {i} missing" for i in (1, 2, 3)}  # the upper half is no mirror image of the lower
     assert set(steps("[0/90/45]")) == missing | {"plies 1 and 2 exchanged", "plies 2 and 3 exchanged"}
 
 
@@ -365,8 +353,7 @@ def test_a_long_layup_has_those_neighbours_whose_bending_differs_most():
     every = neighbours(layup, 1000)
     assert len(every) > len(neighbours(layup)) == MOST
     assert neighbours(layup) == every[:MOST]
-    # the outermost plies carry most, those at the midplane next to nothing
-    assert every[0].text == "plies 1 and 32 missing"
+    assert every[0].text == "plies 1 and 32 missing"  # the outermost plies matter most, inner ones hardly
     assert {i for s in every[-8:] for i in (*s.missing, *s.exchanged)} <= set(range(10, 22))
 
 
@@ -382,7 +369,7 @@ def test_all_forms_are_equally_probable():
         ("[(0/90)_2]_s", "plies 2 and 7 missing"),
         ("[(0/90)_2]_s", "plies 1 and 2, 7 and 8 exchanged"),
         ("[0/45/-45/90]_s", "plies 1 and 2, 7 and 8 exchanged"),
-        ("[0/90/45]", "ply 2 missing"),  # the space of an unsymmetric plate couples stretching with bending
+        ("[0/90/45]", "ply 2 missing"),  # stretching and bending couple in the space of an unsymmetric plate
         ("[0/90/45]", "plies 1 and 2 exchanged"),
     ],
 )
@@ -424,7 +411,7 @@ def test_plies_of_a_hybrid_keep_their_materials_and_the_plate_its_thickness_and_
     ],
 )
 def test_reduced_bending_errs_by_a_small_part_of_the_shift_on_an_unsymmetric_neighbour(stated, edges, most):
-    """The coupled plate, on a space with functions for stretching, is what it is compared with."""
+    """Compared with the coupled plate on a space with functions for stretching."""
     angles = tuple(parse_layup(stated).angles_deg.tolist())
     unsymmetric = {text: laid for text, laid in steps(stated).items() if laid != laid[::-1]}
     laid_up = (angles, *list(unsymmetric.values())[:3])
@@ -444,8 +431,7 @@ def test_all_forms_of_a_plate_are_one_reduced_model_that_is_built_once():
         x = reduced.parameters.sample(rng, 40)
         x = x[reduced.admissible(x)][:4]
         assert reduced.parameters == models.bare.parameters
-        # twice the tolerance that a basis is made to, at sets that it has not seen
-        assert basis_error(reduced, x).max() < 2.0 * models.bare.tolerance
+        assert basis_error(reduced, x).max() < 2.0 * models.bare.tolerance  # twice the basis's tolerance
         moved = reduced.predict(x, jacobian=True)
         assert not np.allclose(moved.frequencies, models.bare.predict(x).frequencies, rtol=1e-3)
         step = 1e-5 * np.diag(x[0])

@@ -1,4 +1,4 @@
-"""Plates on finite elements: an error estimate that holds, meshes that are weighed and covered."""
+"""Plates on finite elements: a valid error estimate, mass and covered points of meshes."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +29,7 @@ def finer(specimen: Specimen) -> np.ndarray:
     return solve(operator, *operator.coefficients({}), N_MODES).frequencies[0]
 
 
-# D4 is thick and clamped: its edges decide. A plate 1/2800 thin locks.
+# D4 is thick and clamped, so that its edges matter. A plate with h / a = 1/2800 tests locking.
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
@@ -46,13 +46,12 @@ def test_the_error_estimate_covers_the_error_and_is_not_far_above(name: str, cha
     model = element_model(specimen, N_MODES).model
     found = model.spectrum(np.empty((1, 0))).frequencies[0]
     true = np.abs(found / finer(specimen) - 1.0)
-    # the finer mesh errs by a tenth to a fifth of the default one
-    assert np.all(true <= model.error)
+    assert np.all(true <= model.error)  # the finer mesh has a tenth to a fifth of the default one's error
     assert model.error.max() < 10 * true.max()
 
 
 def ring(folder: Path) -> Path:
-    """A 200 x 200 mm plate's round part: radius 30 to 100 mm."""
+    """A ring within a 200 x 200 mm plate: radii 30 to 100 mm."""
 
     def around(r: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         radius = 30.0 + 70.0 * r
@@ -63,7 +62,7 @@ def ring(folder: Path) -> Path:
 
 
 def oblique(folder: Path) -> Path:
-    """A 200 x 100 mm parallelogram whose upper edge is 60 mm further in x."""
+    """A 200 x 100 mm parallelogram whose upper edge is shifted by 60 mm in x."""
     straight = rectangle(200.0, 100.0, 12, 8)
     moved = straight.points + 0.6 * straight.points[:, [1, 2, 2]]
     return Quads(moved, straight.cells, straight.lines).write(folder / "oblique.msh")
@@ -78,15 +77,13 @@ def test_a_weighed_plate_with_a_hole_gets_its_density_from_the_area_of_its_mesh(
     weighed = on_mesh(ring(tmp_path), mass=0.3, density=0.3 / (0.2 * 0.2 * 3e-3), thickness=3e-3)
     found = element_model(weighed, 2)
     density = found.specimen.plate.density
-    # 24 sides of parabolas instead of a circle
-    assert found.space.area == pytest.approx(area, rel=1e-4)
+    assert found.space.area == pytest.approx(area, rel=1e-4)  # 24 parabolic sides instead of a circle
     assert density == pytest.approx(0.3 / (area * 3e-3), rel=1e-4)
     given = replace(weighed, plate=replace(weighed.plate, mass=None, density=density))
     a, b = (element_model(s, 2).model.predict(np.empty((1, 0))).frequencies for s in (weighed, given))
     np.testing.assert_allclose(a, b, rtol=1e-12)
     assert element_model(given, 2).specimen is given
-    # points of the hole and outside are not covered
-    points = np.array([[0.5, 0.5], [0.5, 0.9], [0.99, 0.99], [0.5, 0.64], [0.5, 0.66]])
+    points = np.array([[0.5, 0.5], [0.5, 0.9], [0.99, 0.99], [0.5, 0.64], [0.5, 0.66]])  # hole and outside
     np.testing.assert_array_equal(found.space.covers(points), [False, True, False, False, True])
 
 

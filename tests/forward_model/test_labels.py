@@ -1,4 +1,4 @@
-"""Labels and measured shapes say which mode a frequency is, where modes cross and with a probability."""
+"""Labels and measured shapes identify the mode of a frequency, even where modes cross, with a probability."""
 
 import itertools
 import re
@@ -41,7 +41,7 @@ def listed(frequencies: Sequence[float], labels: tuple[str, ...], complete: bool
 
 @pytest.fixture(scope="module")
 def plate() -> Specimen:
-    """B1, whose twisting and first bending mode cross as G12 grows."""
+    """B1, whose twisting and first bending modes cross as G12 grows."""
     specimen = read_specimen("B1").with_exact_sizes()
     return replace(specimen, unknowns=ParameterSet(tuple(specimen.unknowns[n] for n in ("E2", "G12"))))
 
@@ -58,26 +58,24 @@ def test_a_labelled_mode_is_followed_through_crossings(plate: Specimen, model: R
     found = own.predict(x).frequencies
     for i, one in enumerate(x):
         by_label = {mode.label: mode.frequency for mode in model.full.modes(one)}
-        # the reduced model is good to 5e-5 where it was trained, to twice that in between
+        # the reduced model is accurate to 5e-5 where it was trained, to twice that in between
         np.testing.assert_allclose(found[i, :2], [by_label[label] for label in TWISTED_FIRST], rtol=2e-4)
     order = own.order(x)
     assert 0.2 < np.mean(order[:, 0] == 1) < 0.8
     np.testing.assert_array_equal(np.sort(order, axis=1), np.tile(np.arange(6), (len(x), 1)))
     np.testing.assert_array_equal(np.take_along_axis(model.predict(x).frequencies, order, axis=1), found)
     assert np.all(np.diff(found[:, 2:], axis=1) > 0)
-    # derivatives stand in the places of their modes
-    jacobian = own.predict(TRUTH, jacobian=True).jacobian
+    jacobian = own.predict(TRUTH, jacobian=True).jacobian  # derivatives are ordered like their modes
     up, down = (own.predict(TRUTH + np.array([0.0, step])).frequencies[0] for step in (1e7, -1e7))
-    # a step of 6e-4 of G12: curvature enters with its square; rounding of f by 1e-6 Hz gives 1e-13
+    # with a step of 6e-4 of G12 the curvature enters squared; rounding of f by 1e-6 Hz gives 1e-13
     np.testing.assert_allclose(jacobian[0, :, 1], (up - down) / 2e7, rtol=1e-5, atol=1e-13)
-    assert jacobian[0, 0, 1] > 10 * abs(jacobian[0, 1, 1])  # twisting depends on G12, bending hardly
+    assert jacobian[0, 0, 1] > 10 * abs(jacobian[0, 1, 1])  # G12 governs twisting, hardly bending
 
 
 @pytest.mark.parametrize("complete", [True, False])
 @pytest.mark.parametrize("labels", [TWISTED_FIRST, BENT_FIRST])
 def test_labels_decide_between_two_constants_that_give_the_same_list(plate, model, labels, complete) -> None:
-    # a plate whose twisting mode is above its bending mode
-    truth = model.full.modes(TRUTH)[:2]
+    truth = model.full.modes(TRUTH)[:2]  # a plate with its twisting mode above its bending mode
     assert tuple(mode.label for mode in truth) == BENT_FIRST
     crossed = np.array([mode.frequency for mode in truth])
     tested = replace(plate, measurement=listed(crossed, labels, complete))
@@ -87,15 +85,14 @@ def test_labels_decide_between_two_constants_that_give_the_same_list(plate, mode
     np.testing.assert_allclose(predicted, crossed, rtol=3e-3)  # one standard deviation of the data
     by_label = {mode.label: mode.frequency for mode in begun.model.full.modes(best)}
     np.testing.assert_allclose([by_label[label] for label in labels], crossed, rtol=3e-3)
-    # the twisting mode at 84 instead of 96 Hz: (84 / 96)^2 of the shear modulus
+    # twisting at 84 instead of 96 Hz: (84 / 96)^2 of the shear modulus
     g12 = (1.0, 0.02) if labels == BENT_FIRST else ((crossed[0] / crossed[1]) ** 2, 0.04)
     assert best[1] / 16e9 == pytest.approx(g12[0], abs=g12[1])
     np.testing.assert_array_equal(begun.posterior.most_probable_pairing(best).mode, [0, 1])
 
 
 def test_the_swarm_reports_modes_beside_the_frequencies_that_they_belong_to(plate: Specimen) -> None:
-    # too far apart for the bounds of G12: the labelled modes stay crossed in the answer
-    data = listed([80.0, 84.0], BENT_FIRST)
+    data = listed([80.0, 84.0], BENT_FIRST)  # too far apart for the bounds of G12: modes remain crossed
     narrow = replace(plate, unknowns=plate.unknowns.fix(G12=16e9), measurement=data)
     found = estimate_constants(narrow, 0, settings=SwarmSettings(particles=10, iterations=30))
     assert [mode.label for mode in found.predicted] == list(BENT_FIRST)
@@ -129,7 +126,6 @@ def test_a_list_without_labels_leaves_the_model_alone_and_no_posterior_passes_ov
 
 
 def measured(w: np.ndarray) -> MeasuredShapes:
-    """Shapes (n_modes, n) that move along z alone."""
     values = np.zeros((len(w), 3, w.shape[1]), dtype=w.dtype)
     values[:, 2] = w
     return MeasuredShapes(np.arange(w.shape[1]), np.zeros((w.shape[1], 2)), values)
@@ -141,7 +137,6 @@ def predicted(w: np.ndarray) -> np.ndarray:
 
 @pytest.fixture
 def shapes() -> np.ndarray:
-    """Orthogonal shapes at 30 nodes, (8, 30)."""
     return np.linalg.qr(np.random.default_rng(1).standard_normal((30, K)))[0].T
 
 
@@ -160,8 +155,8 @@ def test_assurance_is_the_squared_cosine_of_the_angle_between_shapes_of_any_scal
 
 def test_directions_that_were_not_measured_are_left_out_and_modes_in_the_plane_are_like_none(shapes):
     of_model = predicted(shapes)
-    of_model[0, 0], of_model[0, 2] = of_model[0, 2], 0.0  # a mode in the plane
-    of_model[1, 0] = 0.4 * of_model[1, 2]  # one that moves in both, seen along z
+    of_model[0, 0], of_model[0, 2] = of_model[0, 2], 0.0  # an in-plane mode
+    of_model[1, 0] = 0.4 * of_model[1, 2]  # a mode with motion in both, seen along z
     found = modal_assurance(measured(shapes), of_model)
     assert np.all(found[:, 0] == 0.0)
     assert found[1, 1] == pytest.approx(1.0)
@@ -173,8 +168,7 @@ def test_shapes_halfway_between_two_modes_leave_both_pairings_equal_and_one_like
     assert found.fixed.tolist() == [True, False, False]
     assert sorted(one.modes.tolist() for one in found.assignments) == [[0, 2, 3], [0, 3, 2]]
     np.testing.assert_allclose(found.probability[1:, 2:4], 0.5)
-    # one that is like no mode has none
-    strange = np.random.default_rng(3).standard_normal(30)
+    strange = np.random.default_rng(3).standard_normal(30)  # a shape like no mode gets none
     strange -= shapes.T @ (shapes @ strange)
     found = paired(np.stack((shapes[1], strange)), shapes)
     assert found.modes.tolist() == [1, -1]
@@ -187,18 +181,16 @@ def test_the_weight_of_a_pairing_is_that_of_its_assurances_with_the_directions_t
     mixed = np.vstack((rotation @ shapes[:3], shapes[5:7]))
     found = paired(mixed, shapes)
     assert found.directions == pytest.approx(K)
-    # modes with less assurance than 0.3 are none
-    weight = (1.02 - found.assurance) ** (-0.5 * (K - 1)) * (found.assurance >= 0.3)
+    weight = (1.02 - found.assurance) ** (-0.5 * (K - 1)) * (found.assurance >= 0.3)  # below 0.3: no mode
     p = np.zeros((5, K))
     for modes in itertools.permutations(range(K), 5):
         rows = np.arange(5), list(modes)
         p[rows] += np.prod(weight[rows])
-    # pairings a thousand times less probable than the best are left out
-    np.testing.assert_allclose(found.probability, p / p[0].sum(), atol=2e-3)
+    np.testing.assert_allclose(found.probability, p / p[0].sum(), atol=2e-3)  # improbable pairings left out
 
 
 def test_stated_probabilities_are_those_of_being_right(shapes):
-    """Shapes in pairs that are mixed at random, with errors of the usual size in the model's directions."""
+    """Randomly mixed pairs of shapes, with errors of the usual size in the model's directions."""
     rng = np.random.default_rng(5)
     stated, right = np.zeros(400), np.zeros(400)
     for i in range(400):
@@ -209,7 +201,7 @@ def test_stated_probabilities_are_those_of_being_right(shapes):
         found = paired(turn @ shapes[:2] + error, shapes)
         stated[i], right[i] = found.probability[0].max(), found.modes[0] == truth
     assert np.sum(stated < 0.99) > 50
-    # the mean of what is stated is no more than the fraction that is right: 3 standard errors of 400 trials
+    # the mean stated probability is at most the fraction that is right: 3 standard errors of 400 trials
     assert np.mean(stated) <= np.mean(right) + 3.0 * np.std(right) / np.sqrt(len(right))
 
 
@@ -253,7 +245,7 @@ def test_shapes_replace_labels_where_modes_have_crossed(tested, of_four):
 
 @pytest.fixture(scope="module")
 def unsure(tested: Specimen) -> Specimen:
-    """The plate with shapes that are nearly halfway between the two modes."""
+    """The plate with shapes almost halfway between the two modes."""
     first, second = (v / np.linalg.norm(v) for v in tested.measurement.shapes.values)
     return with_values(tested, np.stack((first + 0.97 * second, second - 0.97 * first)))
 
@@ -276,7 +268,7 @@ def test_the_likelihood_is_the_sum_over_pairings_with_the_gradient_of_difference
         fixed = plate_posterior(labelled_model(of_four, known, unsure), known, np.zeros(of_four.n_modes))
         total += np.exp(one.log_probability + fixed.log_likelihood(x)[0])
     assert posterior.log_likelihood(x)[0] == pytest.approx(np.log(total), rel=1e-10)
-    x = np.array([9.4e9, 13.3e9])  # where both pairings count
+    x = np.array([9.4e9, 13.3e9])  # where both pairings matter
     step = np.diag(1e-4 * x)  # rounding is 1e-5 of the derivative, a tenth of that of 1e-5
     up, down = (posterior.log_likelihood(x + s * step) for s in (1, -1))
     gradient = posterior.expand_likelihood(x[None]).gradient[0]
@@ -314,7 +306,7 @@ def test_predicted_modes_written_as_a_universal_file_are_read_back_as_their_own(
     # frequencies are written with six digits
     np.testing.assert_allclose(result.specimen.measurement.frequencies, computed.frequencies, rtol=1e-5)
     assert result.by_shape.modes.tolist() == [0, 1, 2, 3, 4]
-    # the plate is computed anew with more modes, on a space that is converged for them
+    # the plate is recomputed with more modes, on a space converged for them
     np.testing.assert_allclose(np.diag(result.by_shape.assurance), 1.0, atol=1e-5)
     document = result.to_dict()
     assert [one["label"] for one in document["shapes"]] == [m.label for m in computed.modes]
@@ -336,5 +328,4 @@ def test_modes_are_written_at_the_nodes_of_measured_shapes(tmp_path):
     plate.write_text(f'{FILE}[measurement]\nshapes = "predicted.unv"\n', encoding="utf-8")
     again = cb.read_plate(plate).measurement
     assert again.shapes.nodes.tolist() == numbers
-    # coordinates are written with six digits
-    np.testing.assert_allclose(again.shapes.points, 1e-3 * points, rtol=2e-6)
+    np.testing.assert_allclose(again.shapes.points, 1e-3 * points, rtol=2e-6)  # written with six digits

@@ -1,4 +1,4 @@
-"""A plate with a mass or a softer patch anywhere, on its space and on few modes: against full models."""
+"""A plate with a mass or a soft patch anywhere, on its space and on few modes: against full models."""
 
 import pickle
 from dataclasses import replace
@@ -35,7 +35,7 @@ CASES = [*((form, "C1") for form in FORMS), *(pytest.param(*case, marks=pytest.m
 
 
 def specimen_of(name: str) -> Specimen:
-    """C1, A2, or C1 with plies at an angle ("angled"), or in air with a known sensor ("loaded")."""
+    """C1, A2, or C1 with oblique plies ("angled"), or in air with a known sensor ("loaded")."""
     if name == "angled":
         return with_plate("C1", layup=layup.parse_layup("[30/-40]_s"))
     if name == "loaded":
@@ -49,7 +49,6 @@ def plate_of(name: str) -> PlateModels:
 
 
 def effect_of(form: str, name: str = "C1") -> Effect:
-    """A mass, or damage of the form of a bell or of a rectangle."""
     cause = "sensor_mass" if form == "mass" else "damage"
     of_cause = [v for e in CATALOGUE if e.name == cause for v in variants(e, plate_of(name).facts)]
     return next(v for v in of_cause if form in ("mass", v.local))
@@ -84,7 +83,7 @@ def truth(form: str, row: np.ndarray, name: str = "C1", *, elements: bool = Fals
     named = {key: np.array([value]) for key, value in zip(model.parameters.names, row, strict=True)}
     effect = effect_of(form, name).fixed({key: value[0] for key, value in named.items()})
     problem = extend(plate.problem, effect, plate.facts)
-    if elements:  # whose edges are those of the rectangle below
+    if elements:  # with edges along those of the rectangle below
         operator = discretise_sparse(problem, fem_space(problem.edges, problem.nominal, 20, 20), named)
     else:
         operator = discretise(problem, local_space(plate.problem, model.bare.basis[0]), named)
@@ -96,8 +95,7 @@ def test_frequencies_are_those_of_the_full_space_with_the_effect_there(form: str
     for sets, tolerance in ((random_sets(form, 2, name), 5e-4), (gross_sets(form, name), 2e-3)):
         found = model_of(form, name).predict(sets).frequencies
         errors = np.array([f / truth(form, row, name) - 1.0 for f, row in zip(found, sets, strict=True)])
-        # Rayleigh and Ritz: from above, but for rounding and for the quadrature over a patch
-        assert errors.min() > (-1e-6 if form == "mass" else -tolerance)
+        assert errors.min() > (-1e-6 if form == "mass" else -tolerance)  # from above, but for rounding
         assert errors.max() < tolerance
 
 
@@ -110,8 +108,7 @@ def test_an_answer_states_what_the_basis_of_all_places_errs_at_a_few_draws(form:
     comparison, even = comparison_of([case], hypothesis), np.full(8, -np.log(8))
     nothing = Mixture(np.ones((1, 1)), np.zeros((1, 1, 1)), np.ones((1, 1, 1)), np.inf)
     drawn = marginal.Marginal(comparison, (), 0.0, np.nan, sets[:1], np.ones(1), nothing, sets, even)
-    # the bias of the theory is in both
-    found = Prediction(np.array([truth(form, row) for row in sets[::2]]), None)
+    found = Prediction(np.array([truth(form, row) for row in sets[::2]]), None)  # with the theory's bias
     truths = plate_model.biased(found, model.bare.bias)
     errors = np.abs(model.predict(sets[::2]).frequencies / truths.frequencies - 1.0)
     assert errors.max() > 1e-7
@@ -122,11 +119,9 @@ def test_an_answer_states_what_the_basis_of_all_places_errs_at_a_few_draws(form:
 @pytest.mark.parametrize(
     ("form", "effect", "tolerance"),
     [
-        # the shifts, of up to 20 %; a point on a Mindlin plate yields more the finer the elements
-        ("mass", [0.02, 0.83, 0.61, 0.004], 2e-3),
+        ("mass", [0.02, 0.83, 0.61, 0.004], 2e-3),  # under a point finer Mindlin elements are softer
         ("bell", [0.4, 0.65, 0.8, 0.15], 5e-4),
-        # curvature jumps at a sharp edge, which polynomials follow less well than elements that end there
-        ("rectangle", [0.4, 0.65, 0.8, 0.15], 2e-3),
+        ("rectangle", [0.4, 0.65, 0.8, 0.15], 2e-3),  # the curvature jumps at a sharp edge
     ],
 )
 def test_shifts_are_those_of_finite_elements(form: str, effect: list[float], tolerance: float) -> None:
@@ -143,7 +138,7 @@ def test_shifts_are_those_of_finite_elements(form: str, effect: list[float], tol
 @pytest.mark.slow
 @pytest.mark.parametrize("form", ["bell", "rectangle"])
 def test_the_deepest_patches_of_a_clamped_plate_leave_it_stiff(form: str) -> None:
-    """No patch loses more energy than there is, however coarse its quadrature is for the responses."""
+    """No patch loses more energy than there is, however coarse the quadrature of its responses."""
     model, sets = model_of(form, "A2"), random_sets(form, 200, "A2")
     sets[:, -4] = 0.95
     ratio = model.predict(sets).frequencies / plate_of("A2").bare.predict(sets[:, :-4]).frequencies
@@ -174,8 +169,7 @@ def test_jacobian_is_the_difference_quotient_of_the_frequencies(form: str, name:
         move = h * np.eye(sets.shape[1])[k]
         quotient = (model.predict(sets + move).frequencies - model.predict(sets - move).frequencies) / (2 * h)
         slope = prediction.jacobian[..., k]
-        # the Ritz basis follows the parameters: a difference of second order in its small error
-        tolerance = 0.02 if form == "mass" else 0.05
+        tolerance = 0.02 if form == "mass" else 0.05  # the Ritz basis depends on the parameters
         assert np.abs(slope - quotient).max() < tolerance * np.abs(slope).max(), model.parameters.names[k]
 
 
@@ -191,7 +185,7 @@ def test_a_set_has_the_same_frequencies_in_any_company_and_bit_for_bit_in_anothe
 
 @cache
 def on_own_modes(name: str) -> tuple[Specimen, PlateModel, np.ndarray]:
-    """A plate, its full model and twenty parameter vectors within 3 % of its reference constants."""
+    """A plate, its full model, and twenty parameter vectors within 3 % of its reference constants."""
     specimen = builtin(name)
     full = converged_model(specimen, specimen.unknowns, N)
     about = np.random.default_rng(0).uniform(0.97, 1.03, (20, full.parameters.size))
@@ -199,7 +193,6 @@ def on_own_modes(name: str) -> tuple[Specimen, PlateModel, np.ndarray]:
 
 
 def with_terms(full: PlateModel, problem: Any, samples: np.ndarray) -> np.ndarray:
-    """Frequencies of the plate with more terms, on its own basis."""
     model = plate_model.model_on_basis(problem, samples, N, full.error, full.basis)
     return model.predict(samples).frequencies
 
@@ -240,7 +233,7 @@ def test_a_change_anywhere_moves_the_modes_as_it_moves_the_full_plate(form: str,
     found = on_own.predict(np.column_stack((x, np.tile(added, (len(x), 1))))).frequencies
     moved = np.log(expected / full.predict(x).frequencies)
     assert np.sqrt(np.mean(moved**2)) > 2e-3
-    # a few per cent of what it moves
+    # a few per cent of the shift
     assert np.sqrt(np.mean(np.log(found / expected) ** 2)) < 0.05 * np.sqrt(np.mean(moved**2))
 
 

@@ -1,4 +1,4 @@
-"""Hybrids and plies of any order of moduli against closed forms, other discretisations and bricks."""
+"""Hybrids and plies with moduli in any order, against closed forms, other discretisations and bricks."""
 
 import json
 import re
@@ -27,7 +27,7 @@ LAYERS = {
     "steel under aluminium": [(6.0, 210.0, 7800.0), (10.0, 70.0, 2700.0)],
     "heavy upper half": [(8.0, 70.0, 500.0), (8.0, 70.001, 5000.0)],
 }
-# Of two halves that weigh differently.
+# Two halves of different density.
 HALVES = of_layers([(3.0, isotropic(70.0, 500.0)), (3.0, isotropic(40.0, 5000.0))], (200.0, 150.0))
 FABRIC = {"E1_GPa": 62.0, "E2_GPa": 62.0, "nu12": 0.05, "G12_GPa": 4.2, "G13_GPa": 3.5, "G23_GPa": 3.0}
 SPRUCE = {"E1_GPa": 11.2, "E2_GPa": 0.91, "nu12": 0.51, "G12_GPa": 0.72}
@@ -39,11 +39,8 @@ LISTED = {"frequencies_hz": [100.0, 200.0, 300.0, 400.0, 500.0]}
 
 def coupled_navier(layers: list[tuple[float, float, float]], sides, shear: np.ndarray) -> np.ndarray:
     """Frequencies of a supported plate of isotropic layers with nu = 0.3, first-order theory, Hz.
-
     With all coupling and inertia (Reddy, Mechanics of Laminated Composite Plates and Shells, section 6.3).
-
-    layers : thickness m, E Pa, density kg/m3, bottom to top. shear : A_s, N/m
-    """
+    layers : thickness m, E Pa, density kg/m3, bottom to top. shear : A_s, N/m"""
     thickness = np.array([t for t, _, _ in layers])
     z = np.concatenate(([0.0], np.cumsum(thickness))) - thickness.sum() / 2
     moments = np.array([np.diff(z**k) / k for k in (1, 2, 3)])
@@ -94,7 +91,7 @@ def ritz_and_bricks(specimen: Specimen, n_modes: int, in_plane: int) -> tuple[np
 @pytest.mark.parametrize(
     ("plate", "n_modes", "in_plane", "tolerance"),
     [
-        # free-edge layers of plies turned against each other are not in the theory (docs/theory.md)
+        # free-edge layers between plies of different angles are not in the theory (docs/theory.md)
         pytest.param(HYBRID, 6, 200, 2e-3, marks=[pytest.mark.slow, pytest.mark.weekly]),
         (HALVES, 4, 110, 1e-3),
     ],
@@ -112,7 +109,7 @@ def test_the_error_of_a_sandwich_does_not_depend_on_where_x_is() -> None:
     along = sandwich_error(cb.read_plate(turned), [300.0, 900.0])
     turned["plate"]["layup"] = "[f90/s/f90]"
     assert_allclose(sandwich_error(cb.read_plate(turned), [300.0, 900.0]), along, rtol=1e-9)
-    # without a core there is none
+    # zero without a core
     assert_allclose(sandwich_error(cb.read_plate(HYBRID), [100.0, 1000.0, 10_000.0]), 0.0)
 
 
@@ -166,8 +163,7 @@ def test_a_thin_simply_supported_plate_has_the_frequencies_of_kirchhoff(constant
         return lowest(orthotropic(constants, (300.0, 200.0, 1e3 * h), edges="SSSS"), 5) / h
 
     h = 1.2e-3
-    # shear deformation lowers them in proportion to (h / a)^2: extrapolated away with two thicknesses
-    thin = (4.0 * over_thickness(h / 2) - over_thickness(h)) / 3.0
+    thin = (4.0 * over_thickness(h / 2) - over_thickness(h)) / 3.0  # without shear, ~ (h / a)^2
     e1, e2, g12 = (1e9 * constants[key] for key in ("E1_GPa", "E2_GPa", "G12_GPa"))
     nu12 = constants["nu12"]
     scale = 12.0 * rho * (1.0 - nu12**2 * e2 / e1)

@@ -1,4 +1,4 @@
-"""The reduced model: its errors, the checks that find them, its derivatives, and how often it is made."""
+"""The reduced model: its errors, the checks that find them, its derivatives, and how often it is built."""
 
 import pickle
 from dataclasses import replace
@@ -44,7 +44,7 @@ def reduced(name: str) -> ReducedModel:
 
 
 def prior_draws(model: PlateModel, n: int, seed: int) -> np.ndarray:
-    """Admissible draws from the prior, others than the model was built from, (n, n_parameters)."""
+    """Admissible draws from the prior, not those that the model was built from, (n, n_parameters)."""
     x = model.parameters.sample(np.random.default_rng(seed), 4 * n)
     return np.asarray(x[model.admissible(x)][:n])
 
@@ -55,7 +55,7 @@ def size_of(model: ReducedModel) -> int:
 
 @cache
 def compared(name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Draws from the prior, and the relative errors of frequencies there, (n_draws, n_modes)."""
+    """Draws from the prior, and the relative errors of their frequencies, (n_draws, n_modes)."""
     model = reduced(name)
     x = prior_draws(model.full, N_DRAWS, seed=1234)
     assert len(x) == N_DRAWS
@@ -72,8 +72,7 @@ def test_sides_that_are_known_well_leave_a_thin_plate_its_frequencies(edges: str
         there = with_plate("A1", length=length, width=width, **thin)
         there = converged_model(there, plate_model.NO_PARAMETERS, 6)
         expected = there.predict(np.empty((1, 0))).frequencies[0]
-        # two spaces, each converged to 1e-4
-        np.testing.assert_allclose(f, expected, rtol=3e-4)
+        np.testing.assert_allclose(f, expected, rtol=3e-4)  # each converged to 1e-4
 
 
 @cases
@@ -81,17 +80,16 @@ def test_error_is_below_1e_4_in_99_of_100_draws_never_below_zero_and_small_on_co
     model, (x, error) = reduced(name), compared(name)
     assert np.quantile(error, 0.99) < 1e-4
     assert np.quantile(error.max(axis=1), 0.99) < 2e-4, "of the worst frequency of a draw"
-    # the reduced space is part of the full one, but for rounding: LAPACK's bound is the range of K
+    # the reduced space is part of the full one, apart from rounding: LAPACK's bound is the range of K
     stiffness, mass = model.full.coefficients(x[:1])
     largest = max(b.eigenvalues(stiffness, mass, b.size).max() for b in model.full.operator.blocks)
     lam = (2 * np.pi * model.full.predict(x[:1]).frequencies) ** 2
     rounding = 10.0 * np.finfo(float).eps * largest / lam.min()
     assert rounding < 1e-6
     assert error.min() > -rounding
-    # of errors of 1e-5, full solves that differ by rounding, 2e-9 on some processors
+    # errors of 1e-5, full solves with different rounding, 2e-9 on some processors
     np.testing.assert_allclose(basis_error(model, x[:16]), np.abs(error[:16]), atol=1e-8)
-    # optima sit on bounds; corners are far from every draw of the prior
-    parameters = model.full.parameters
+    parameters = model.full.parameters  # optima lie on bounds; corners are far from all draws of the prior
     corners = np.array(list(product(*zip(parameters.lower, parameters.upper, strict=True))))
     corners = corners[model.full.admissible(corners)][:: 1 + len(corners) // 64]
     assert len(corners) >= 8
@@ -99,7 +97,7 @@ def test_error_is_below_1e_4_in_99_of_100_draws_never_below_zero_and_small_on_co
 
 
 def test_checks_find_a_mode_that_the_first_training_lacks() -> None:
-    # an in-plane mode of D1 is among the first ten at few sets of the box: without it errors are per cents
+    # an in-plane mode of D1 is among the first ten in few sets of the box: without it errors are per cents
     full = reduced("D1").full
     x = compared("D1")[0][:300]
     exact = full.predict(x).frequencies
@@ -112,8 +110,7 @@ def test_checks_find_a_mode_that_the_first_training_lacks() -> None:
 
 @pytest.mark.parametrize("n_modes", [6, 8])
 def test_no_mode_of_the_square_isotropic_plate_is_lost(n_modes: int) -> None:
-    # its modes come in equal pairs, which lie in two blocks and of which a basis can lack one: all
-    # frequencies above a lost one are then those of the next mode, wrong by per cents
+    # its modes are equal pairs in two blocks; if a basis lacks one, higher frequencies are wrong by per cents
     specimen = read_specimen("D&G")
     full = converged_model(specimen, specimen.unknowns, n_modes)
     model = reduce(full, np.random.default_rng(0))
@@ -219,7 +216,6 @@ def b1() -> Specimen:
 
 
 def quick(specimen: Specimen) -> tuple[ReducedModel, list[str]]:
-    """A quick model of three modes, and what was said while it was made."""
     said: list[str] = []
     model = reduced_model(specimen, specimen.unknowns, 3, settings=QUICK, notify=said.append)
     return model, said
@@ -271,11 +267,10 @@ def test_whatever_changes_the_model_changes_its_key(b1: Specimen) -> None:
     keys = [key(b1), *(key(other) for other in changed), *(key(b1, other) for other in others)]
     keys += [key(b1, builtin("D1").unknowns), key(b1, unknowns.union(sizes)), key(b1, n_modes=7)]
     keys += [key(b1, settings=QUICK), key(b1, centre=0.5 * (unknowns.lower + unknowns.upper))]
-    # two hybrids of equal sizes, density and angles
-    layups = ("[c0_2/g45/g-45/c90]_s", "[c0/g0/c45/g-45/c90]_s")
+    layups = ("[c0_2/g45/g-45/c90]_s", "[c0/g0/c45/g-45/c90]_s")  # equal sizes, density and angles
     keys += [key(read_plate(hybrid(layup=layup))) for layup in layups]
     assert len(set(keys)) == len(keys)
-    # what was measured is no part of it
+    # the measurement is no part of it
     assert key(replace(b1, measurement=None, name="other", source="elsewhere", notes=())) == keys[0]
 
 
@@ -294,5 +289,5 @@ def test_a_plate_of_nearly_the_same_sides_and_no_other_is_as_exact_on_the_space_
     others = {"width": 1.2 * plate.plate.width}, {"edges": "CFFF"}, {"layup": parse_layup("[0/90]_4s")}
     assert not any(neighbour.suits(with_plate("C1", **one), plate.unknowns, 8) for one in others)
     assert not neighbour.suits(plate, plate.unknowns, 9)
-    # a mass on the plate asks for functions that the bare plate has no use for
+    # a mass on the plate needs functions that are of no use to the bare plate
     assert not neighbour.suits(replace(plate, sensors=(Sensor(1e-3, 0.1, 0.1),)), plate.unknowns, 8)

@@ -1,4 +1,4 @@
-"""Slips that ruin an answer are found, and plates that are as they should be are left alone."""
+"""Slips that ruin an answer are found, and correct plates are left alone."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +19,6 @@ BUILTIN = [s.name for s in plates().specimens]
 
 
 def scaled(specimen: Specimen, factor: float, **changes: object) -> Specimen:
-    """The specimen with all measured frequencies times a factor, or other entries of its list."""
     frequencies = {"frequencies": factor * specimen.measurement.frequencies}
     return replace(specimen, measurement=replace(specimen.measurement, **frequencies | changes))
 
@@ -30,8 +29,7 @@ def test_every_specimen_of_the_paper_is_within_reach_with_its_angles_known_or_no
     assert require_reachable(specimen) is specimen
     require_reachable(specimen.with_unknown_angles())
     assert preconditions.reference_slips(specimen) == ()
-    # half of its first frequency is one of the plate too: a quarter of the moduli, which most bounds reach
-    first, *others = specimen.measurement.frequencies
+    first, *others = specimen.measurement.frequencies  # half of f_1: bounds include a quarter of E
     require_reachable(scaled(specimen, 1.0, frequencies=np.array([0.5 * first, *others])))
 
 
@@ -53,18 +51,16 @@ def test_a_list_that_may_lack_its_first_modes_is_given_the_benefit_of_the_doubt(
     ],
 )
 def test_slips_of_units_and_lost_commas_are_named(weighed: bool, factor: float, said: str) -> None:
-    for constants in (0.9, 1.1):  # how far they may be from their reference
+    for constants in (0.9, 1.1):  # relative to their reference
         assert said in likely_cure(constants / factor, weighed=weighed)
-    # a ratio that no unit explains
-    assert "check the units" in likely_cure(3.5, weighed=weighed)
+    assert "check the units" in likely_cure(3.5, weighed=weighed)  # a ratio that no unit explains
     assert "likely slip" not in likely_cure(3.5, weighed=weighed)
 
 
 @pytest.mark.parametrize(("name", "weighed"), [("A1", False), ("C1", False), ("C1", True)])
 @pytest.mark.parametrize(("factor", "said"), [(0.1, "10 times too small"), (10.0, "10 times too large")])
 def test_a_thickness_ten_times_off_is_among_the_likely_slips(name: str, weighed: bool, factor, said) -> None:
-    # weighed, the density goes with 1 / h, and a frequency with h^1.5 in place of h
-    plate = builtin(name).plate
+    plate = builtin(name).plate  # if weighed, the density scales with 1 / h, a frequency with h^1.5, not h
     of_weighed = {"mass": 0.344, "density": plate.density / factor} if weighed else {}
     with pytest.raises(PlateFileError, match=f"a thickness {said}"):
         require_reachable(with_plate(name, thickness=factor * plate.thickness, **of_weighed))
@@ -95,7 +91,7 @@ def test_nearly_equal_lists_are_one_measurement(apart: float, found: int) -> Non
     second = replace(scaled(first, 1.0 + apart), name="A1 again")
     slips = preconditions.equal_list_slips([first, second])
     assert [slip.facts["plates"] for slip in slips] == [("A1", "A1 again")] * found
-    # lists of different length are of different plates
+    # lists of different length belong to different plates
     five = scaled(first, 1.0, frequencies=first.measurement.frequencies[:5], labels=("",) * 5)
     assert preconditions.equal_list_slips([first, five]) == ()
 
@@ -111,14 +107,14 @@ def test_a_stated_noise_that_no_tap_test_has_is_a_slip(level: float | None, foun
 
 
 def panel(density: float) -> Specimen:
-    """README's panel, 3.1 +- 0.02 mm gauged, with a density of its data sheet as well, known to 1 %."""
+    """README's panel, gauged 3.1 +- 0.02 mm, with its data sheet's density too, known to 1 %."""
     text = (Path(__file__).parents[2] / "examples" / "panel.toml").read_text("utf-8")
     text = text.replace("mass_g = 340.7", f"density_kg_m3 = {density}\nmass_g = 340.7")
     return parse_specimen(text, "panel.toml")
 
 
 def test_a_mass_and_a_density_that_are_not_those_of_the_thickness_are_a_slip() -> None:
-    # 340.7 g over 310 x 228 mm and 1480 kg/m3 are 3.257 mm; sides are known to 0.1 %, the density to 1 %
+    # 340.7 g, 310 x 228 mm and 1480 kg/m3 give 3.257 mm; sides are known to 0.1 %, the density to 1 %
     by_mass, sd = 3.2569, 3.2569 * np.sqrt(0.01**2 + 2 * 0.001**2 + (0.1 / 340.7) ** 2)
     apart = (by_mass - 3.1) / np.hypot(sd, 0.02)
     (slip,) = preconditions.stated_slips(panel(1480.0))
@@ -127,20 +123,19 @@ def test_a_mass_and_a_density_that_are_not_those_of_the_thickness_are_a_slip() -
     plate = panel(1480.0).plate
     weight = sd**2 / (sd**2 + 0.02**2)
     assert plate.thickness == pytest.approx(1e-3 * (weight * 3.1 + (1 - weight) * by_mass), rel=1e-4)
-    # what is taken allows for both of them
+    # the value used allows for both
     assert plate.sd["thickness"] == pytest.approx(0.02e-3 * np.sqrt(weight) * apart, rel=2e-3)
     assert preconditions.stated_slips(panel(1555.0)) == ()
     assert panel(1555.0).plate.sd["thickness"] < 0.02e-3
 
 
 def test_of_a_file_that_contradicts_itself_no_slip_of_units_is_guessed() -> None:
-    wrong, right = panel(7750.0), panel(1555.0)  # five times the density that the mass and the thickness have
+    wrong, right = panel(7750.0), panel(1555.0)  # five times the density implied by mass and thickness
     said = r"3.10 mm, where mass over density is 0.622 mm, .* gauge"
     with pytest.raises(PlateFileError, match=said) as told:
         require_reachable(wrong)
     assert "likely slip" not in str(told.value)
-    # nor one of a first frequency that is no mode
-    with pytest.raises(PlateFileError, match="gauge and weigh the plate again"):
+    with pytest.raises(PlateFileError, match="gauge and weigh the plate again"):  # nor a false first mode
         require_reachable(replace(wrong, plate=replace(wrong.plate, thickness=31e-3)))
     ratio = np.full(3, 0.16)
     assert preconditions.units_notices(ratio, wrong.plate) == ()
@@ -150,7 +145,6 @@ def test_of_a_file_that_contradicts_itself_no_slip_of_units_is_guessed() -> None
 
 
 def moduli_of_c1(factor: float, **changes: float) -> dict[str, tuple[float, float]]:
-    """Reference moduli of C1 times a factor, or a factor each, known to 1 %."""
     constants = builtin("C1").material.constants
     factors = {name: changes.get(name, factor) for name in ("E1", "E2", "G12")}
     return {name: (f * constants[name], 0.01 * constants[name]) for name, f in factors.items()}
@@ -161,14 +155,12 @@ def test_moduli_with_one_factor_in_common_are_a_wrong_size_mass_or_scale() -> No
     (slip,) = common_factor_slips(specimen, moduli_of_c1(0.5))
     assert slip.facts["ratio"] == pytest.approx(0.5)
     assert all(distance < 0.0 for _, distance in slip.facts["distances"])
-    # f^2 goes as E h^2 / rho: half of E is h over the root of 2, twice rho, frequencies over the root of 2
-    said = sentence_of(slip)
+    said = sentence_of(slip)  # f^2 ~ E h^2 / rho: half of E is h or f over the root of 2, or twice rho
     for part in ("2.26 mm instead of 3.2 mm", "a density 2.00 times", "0.707 times too high"):
         assert part in said
     assert "a mass left on the plate" in said
     (slip,) = common_factor_slips(with_plate("C1", mass=0.344), moduli_of_c1(2.0))
-    # weighed: f^2 goes as E h^3 / m, and nothing that is attached makes a plate stiffer
-    said = sentence_of(slip)
+    said = sentence_of(slip)  # if weighed, f^2 ~ E h^3 / m, and nothing attached makes a plate stiffer
     assert "4.03 mm instead of 3.2 mm" in said
     assert "a mass 0.500 times" in said
     assert "left on the plate" not in said
@@ -183,7 +175,6 @@ def test_moduli_that_one_batch_may_have_and_references_of_unknown_spread_tell_no
     assert common_factor_slips(specimen, {"nu12": (0.05, 0.001)}) == ()
     (slip,) = common_factor_slips(specimen, {"E1": (60e9, 1e9)})
     assert [name for name, _ in slip.facts["distances"]] == ["E1"]
-    # different factors have no size to name
-    (slip,) = common_factor_slips(specimen, moduli_of_c1(0.5, E2=0.3))
+    (slip,) = common_factor_slips(specimen, moduli_of_c1(0.5, E2=0.3))  # different factors: no single size
     assert slip.facts["ratio"] is None
     assert "check thickness, density" in sentence_of(slip)

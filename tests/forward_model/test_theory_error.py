@@ -1,4 +1,4 @@
-"""What the model leaves out: three dimensions beside first-order theory, by rule and on bricks, and air."""
+"""Errors of the model: three dimensions beside first-order theory, by rule and on bricks, and air."""
 
 import json
 from dataclasses import replace
@@ -45,7 +45,7 @@ def test_alike_plies_have_no_stress_at_a_free_edge_others_turn_and_unknown_ones_
 
 @pytest.mark.parametrize(
     ("layup", "middle_mm", "tolerance"),
-    # one ply for two has half as many points, of an integral that is of first order in them
+    # one ply in place of two has half the points, for an integral that is of first order in them
     [("[a0/b45_2/a90]_s", 0.5, 1e-9), ("[a0/b45/a90]_s", 1.0, 0.01)],
 )
 def test_plies_of_two_equal_materials_have_the_error_of_one(layup: str, middle_mm: float, tolerance) -> None:
@@ -61,7 +61,7 @@ def test_plies_of_two_equal_materials_have_the_error_of_one(layup: str, middle_m
 
 
 def saved_cases() -> list[dict[str, Any]]:
-    # bricks of thin plates held all round are not exact enough to judge by
+    # bricks of thin plates clamped all round are not accurate enough for a comparison
     return [c for c in SAVED["cases"] if max(m["bricks_error_percent"] for m in c["modes"]) < 0.15]
 
 
@@ -93,7 +93,7 @@ def test_the_bias_is_what_bricks_show_and_free_edges_lower_all_modes_within_thei
 
 
 def mean_shift(layup: str) -> tuple[float, float, float]:
-    """Mean ln f of bricks less theory, the rule's bias, and its error common to all modes."""
+    """Mean ln f of bricks minus theory, the rule's bias, and its error common to all modes."""
     of_layup = [c for c in saved_cases() if c["layup"] == layup and "carbon" in c["case"]]
     (case,) = (c for c in of_layup if c["edges"] == "FFFF" and "h/b = 1/25" in c["case"])
     plate, f = carbon(layup, thickness_mm=7.2), np.array([m["ritz_hz"] for m in case["modes"]])
@@ -162,8 +162,7 @@ def test_free_edges_of_turned_plies_are_softer_in_three_dimensions() -> None:
     bricks = solve_modes(plate, reference_constants(plate), 4, in_plane=100).frequencies
     difference = ritz / bricks - 1.0
     assert np.all(difference > 0.0)
-    # a mesh of 100 elements in the plane is within 0.05 % in these modes
-    assert difference.max() == pytest.approx(0.8e-2, abs=0.05e-2)
+    assert difference.max() == pytest.approx(0.8e-2, abs=0.05e-2)  # 100 elements: accurate to 0.05 %
 
 
 @pytest.mark.parametrize("name", ["C1", pytest.param("A2", marks=pytest.mark.slow)])
@@ -172,14 +171,13 @@ def test_the_shift_is_that_of_converged_frequencies_in_air(name):
     both = (replace(specimen, air_density=rho) for rho in (None, plate_model.ROOM_AIR))
     models = (converged_model(one, plate_model.NO_PARAMETERS, 4) for one in both)
     in_vacuum, in_air = (model.predict([[]]).frequencies[0] for model in models)
-    # both spaces are good to 1e-4 of a frequency, and the ratio to far less
+    # both spaces are accurate to 1e-4 of a frequency, and far better in the ratio
     assert air_shifts(specimen)[:4] == pytest.approx(in_air / in_vacuum - 1.0, abs=2e-5)
 
 
 def test_air_lowers_bending_and_leaves_in_plane_modes_alone():
     shifts = air_shifts(builtin("D3"))
-    # the fifth mode of D3 moves in its plane
-    assert (shifts[:4] < -1e-3).all()
+    assert (shifts[:4] < -1e-3).all()  # the fifth mode of D3 is in-plane
     assert abs(shifts[4]) < 1e-5
 
 

@@ -1,4 +1,4 @@
-"""A mass that was added to a plate: its shifts against whole models, and what lists say of it."""
+"""A mass added to a plate: its shifts against complete models, and what lists reveal of it."""
 
 from itertools import product
 
@@ -42,12 +42,11 @@ def answer(plate, d, noise=NOISE, seed=0):
 
 
 def repeated(rng):
-    """The noise of the shifts between two lists."""
     return np.sqrt(2) * NOISE * rng.standard_normal(N)
 
 
 def shifts_of_model(edges, mass, x, y):
-    """Of a plate whose whole model holds the mass, nine points of a disc of 24 kg/m2 on its surface."""
+    """Shifts of a complete model with the mass as nine points of a disc of 24 kg/m2 on its surface."""
     places = [(-0.75, 2.0 / 9.0), (0.0, 5.0 / 9.0), (0.75, 2.0 / 9.0)]  # second moments of a disc
     radius = 1e3 * np.sqrt(mass / (np.pi * AREAL))
     at = ((p * q, x + radius * i, y + radius * j) for (i, p), (j, q) in product(places, places))
@@ -62,8 +61,7 @@ def shifts_of_model(edges, mass, x, y):
 def test_shifts_in_the_modes_are_those_of_a_model_that_holds_the_mass(edges, fraction):
     exact, mass = shifts_of_model(edges, fraction * MASS, 60.0, 35.0), np.array([fraction * MASS])
     found = loaded(edges).shifts(np.array([[60 / 240, 35 / 160]]), mass, [AREAL])[0, 0, 0]
-    # the form error that is counted with is 2 % of a shift
-    assert np.abs(found - exact).max() < 0.02 * np.abs(exact).max()
+    assert np.abs(found - exact).max() < 0.02 * np.abs(exact).max()  # the form error is 2 % of a shift
 
 
 @pytest.mark.slow
@@ -72,14 +70,13 @@ def test_a_mass_up_to_the_largest_is_found_where_it_is(free):
     found = answer(free, shifts_of_model("FFFF", mass, x, y))
     assert found.finding is Finding.ADDED
     assert found.interval[0] < mass < found.interval[1]
-    # a cross-ply plate that is free all round looks alike from its four corners
-    assert len(found.images) == 3
+    assert len(found.images) == 3  # the four corners of a free cross-ply plate are equivalent
     assert found.distance(1e-3 * x, 1e-3 * y) < 0.5 * found.radius < 0.01
-    d = shifts_of_model("FFFF", 0.04 * MASS, x, y)  # a repeatability that is not stated is inferred
+    d = shifts_of_model("FFFF", 0.04 * MASS, x, y)  # an unstated repeatability is inferred
     found = answer(free, d + repeated(np.random.default_rng(3)), noise=None)
     assert found.finding is Finding.ADDED
     assert NOISE / 3 < found.noise < 3 * NOISE
-    d = shifts_of_model("FFFF", 0.22 * MASS, x, y)  # a mass beyond the largest is no mass that was found
+    d = shifts_of_model("FFFF", 0.22 * MASS, x, y)  # a mass above the limit counts as none found
     for noise in (NOISE, None):
         assert answer(free, d, noise=noise).finding is Finding.OTHER
     clamped = loaded("CFFF")
@@ -99,7 +96,7 @@ def test_masses_lie_in_their_intervals_as_often_as_these_say(free):
 
 
 def test_known_masses_show_repeatability_and_error_of_a_shift():
-    """95 and 90 % by the binomial: of 200 laboratories with four coins that share a first list."""
+    """95 and 90 % binomially: for 200 laboratories with four coins that share a first list."""
     rng = np.random.default_rng(8)
     shifts, inside, below = 0.02 * rng.uniform(size=(200, 4, N)), 0, 0
     for shift in shifts:
@@ -116,8 +113,7 @@ def test_no_mass_is_claimed_of_repeats(free):
     repeats = [answer(free, repeated(rng)).finding for _ in range(12)]
     assert repeats.count(Finding.ADDED) <= 1
     assert repeats.count(Finding.NOTHING) >= 8
-    # frequencies that all rise, or fall as in a warmer room, are no added mass
-    for factor in (0.01, -0.01, -0.005):
+    for factor in (0.01, -0.01, -0.005):  # if all rise, or fall as in a warmer room, that is no mass
         noisy = factor + repeated(rng)
         assert answer(free, noisy).finding is Finding.OTHER
         assert answer(free, noisy, noise=None).finding in (Finding.OTHER, Finding.OPEN)
@@ -132,7 +128,7 @@ def test_lists_tell_each_other_the_repeatability_that_no_file_states(free):
     unstated, alone = Repeatability(None, np.zeros(N)), answer(free, lists[0], noise=None)
     together = find_masses(*free, [(one, unstated) for one in lists], rng)
     assert together[0].log_bayes_factor > alone.log_bayes_factor + 4.0
-    # two standard deviations of what about 25 independent differences say of their scatter
+    # two standard deviations of a scatter estimated from about 25 independent differences
     assert abs(np.log(together[0].noise / NOISE)) < 2.0 / np.sqrt(2 * 25)
     assert together[0].interval[0] < 0.03 * MASS < together[0].interval[1]
     assert all(one.finding is Finding.NOTHING for one in together[1:])
@@ -151,5 +147,5 @@ def test_a_mass_at_the_detection_limit_is_mostly_claimed_and_a_tenth_of_it_less_
             count += answer(free, d + repeated(rng)).finding is Finding.ADDED
         return count
 
-    assert claimed(limit) >= 7  # beside a corner, where a mass shows best
+    assert claimed(limit) >= 7  # near a corner, where a mass shows best
     assert claimed(0.1 * limit) <= 3

@@ -19,7 +19,7 @@ from cpam_bayes.plate.layup import parse_layup
 from cpam_bayes.stacking.symmetry import canonical, plate_symmetries
 
 RNG = np.random.default_rng(5)
-SLOPES = RNG.normal(size=(7, 6, 3))  # one linear model a sequence
+SLOPES = RNG.normal(size=(7, 6, 3))  # one linear model per sequence
 MEASURED = RNG.normal(size=6)
 LOWER, UPPER = np.array([-0.3, -0.2, 0.0]), np.array([0.4, 0.5, 0.6])
 STARTS = np.array([[0.0, 0.0, 0.1], [0.3, 0.4, 0.5]])
@@ -50,8 +50,7 @@ def test_linear_problems_have_the_bounded_least_squares_solution(weighted):
     assert on_bound.any(), "some of the optima lie on a bound"
     for i, slope in enumerate(SLOPES):
         exact = lsq_linear(root[:, None] * slope, root * MEASURED, bounds=(LOWER, UPPER), tol=1e-14)
-        # settled to 1e-9 of F, so to its root of the distance of the bounds
-        assert_allclose(found.values[i], 2.0 * exact.cost, rtol=1e-8)
+        assert_allclose(found.values[i], 2.0 * exact.cost, rtol=1e-8)  # converged to 1e-9 of F
         assert_allclose(found.constants[i], exact.x, atol=1e-4)
 
 
@@ -90,8 +89,7 @@ def test_steps_stay_where_the_constraints_hold_and_a_start_outside_is_refused():
 GRID = angle_grid(45.0)  # -45 0 45 90
 EVERY = np.array(list(product(range(4), repeat=2)))
 TRUTH = np.array([1, 3])  # 0, 90
-# What a reduced model this coarse leaves of F = 0 in laminates that are one by symmetry, Hz^2: its
-# relative error is below 1e-3 of 600 Hz in each of six modes.
+# F, Hz^2, of equivalent laminates instead of 0: below 1e-3 of 600 Hz in each of six modes
 COARSE = 6 * 0.6**2
 
 
@@ -113,7 +111,6 @@ def fit(specimen):
 
 @pytest.fixture(scope="module")
 def enumerated(fit):
-    """F of every sequence, its constants fitted."""
     return best_constants(fit, EVERY, search_starts(fit, 8)).values
 
 
@@ -133,9 +130,9 @@ def test_swarms_reach_the_minimum_that_enumeration_finds(fit, enumerated):
     results = angle_search.run_swarms(fit, range(4), SwarmSettings(particles=30, iterations=80))
     assert len([r for r in results if r.value < COARSE]) >= 2, "of four seeds on sixteen sequences"
     for result in results:
-        # none is better than the fit to its own sequence, but for kinks, where fits stop short by 3e-5 of F
+        # none is below the fit to its own sequence, apart from kinks, where fits end 3e-5 of F too high
         assert result.value >= enumerated[result.sequence @ [4, 1]] * (1.0 - 1e-3)
-        # alone and in a stack every f is the same to 5e-10: dF = 2 |f - measured| 5e-10 f
+        # alone and in a stack every f is equal to 5e-10: dF = 2 |f - measured| 5e-10 f
         own = fit.values(result.best[None], result.sequence[None])[0]
         rounding = 1e-9 * np.sqrt(result.value) * np.linalg.norm(fit.measured)
         assert own == pytest.approx(result.value, rel=0.0, abs=rounding + 1e-7)
@@ -165,7 +162,7 @@ def test_starts_meet_the_constraints_and_fitted_constants_are_the_true_ones(fit,
     assert fit.admissible(starts).tolist() == [True] * 5
     assert_array_equal(starts[0], truth)
     assert_array_equal(starts, search_starts(fit, 5))
-    # F is settled to 1e-9 of itself
+    # F is converged to 1e-9 of itself
     assert_allclose(best_constants(fit, TRUTH[None], starts[:3]).constants[0], truth, rtol=1e-4)
 
 
@@ -181,7 +178,7 @@ def test_a_built_in_case_is_searched_from_end_to_end():
     assert np.all(np.isin(found.angles_deg, angle_grid(5.0)))
     assert tuple(found.constants) == specimen.unknowns.names
     measured = specimen.measurement.frequencies
-    # the swarm's F on the reduced model, the frequencies on the full one: 1e-3 apart at most
+    # the swarm's F is of the reduced model, the frequencies of the full one: at most 1e-3 apart
     assert np.sum((found.predicted - measured) ** 2) == pytest.approx(found.value, rel=0.02)
     assert found.rms == pytest.approx(np.sqrt(np.mean((found.predicted / measured - 1.0) ** 2)))
     assert np.all(found.error < 0.01)
@@ -194,7 +191,7 @@ def test_a_known_layup_is_refused():
 
 @pytest.mark.slow
 def test_fuzzy_swarms_find_the_least_f_twice_where_single_ones_miss(fit, specimen, enumerated, monkeypatch):
-    """Swarms too small to find the plate's own angles each time; enumeration is the judge."""
+    """Swarms too small to find the plate's own angles every time, judged by enumeration."""
     exact = replace(specimen, measurement=replace(specimen.measurement, frequencies=fit.measured))
     monkeypatch.setattr(angle_search, "reduced_model", lambda *args, **kwargs: fit.model)
     settings, least = SwarmSettings(particles=6, iterations=12), enumerated.min()

@@ -1,4 +1,4 @@
-"""Search of constants by swarms, and what errors of sizes, noise and priors leave open, by each way."""
+"""Constants by swarms, and their uncertainty from errors of sizes, noise and priors, in every method."""
 
 import re
 from dataclasses import replace
@@ -31,12 +31,11 @@ QUICK = SwarmSettings(particles=20, iterations=40)
 
 
 def reference_frequencies(specimen, n):
-    """Of its reference constants."""
     return converged_model(specimen, NO_PARAMETERS, n).predict(np.empty((1, 0))).frequencies[0]
 
 
 def known(name, sd, weighed=False):
-    """With the frequencies of its reference constants, relative sd of sizes, and its mass if weighed."""
+    """A specimen with frequencies of its reference constants, relative sd of sizes, its mass if weighed."""
     specimen = read_specimen(name)
     f, plate = reference_frequencies(specimen, specimen.measurement.size), specimen.plate
     data = replace(specimen.measurement, frequencies=f, relative_std=NOISE, resolution=0.0)
@@ -48,7 +47,6 @@ def known(name, sd, weighed=False):
 
 
 def linear_sd(specimen):
-    """Relative standard deviations at the reference values, to first order."""
     parameters, n = specimen.unknowns.union(size_parameters(specimen)), specimen.measurement.size
     x = reference_vector(specimen, parameters)
     posterior = plate_posterior(reduced_model(specimen, parameters, n), specimen.measurement, np.zeros(n))
@@ -69,8 +67,7 @@ def test_the_model_at_another_size_is_the_model_of_that_plate(weighed):
         if weighed:
             sizes["density"] = sizes.pop("mass") / (sizes["length"] * sizes["width"] * sizes["thickness"])
         there = replace(specimen, plate=replace(specimen.plate, **sizes, mass=None, sd={}))
-        # two spaces, each converged to 1e-4
-        np.testing.assert_allclose(found, reference_frequencies(there, 6), rtol=2e-4)
+        np.testing.assert_allclose(found, reference_frequencies(there, 6), rtol=2e-4)  # each to 1e-4
 
 
 def test_priors_of_sizes_are_normal_and_stay_positive():
@@ -80,7 +77,7 @@ def test_priors_of_sizes_are_normal_and_stay_positive():
     assert thickness == TruncatedNormal(h, 0.01 * h, 0.95 * h, 1.05 * h)
     assert type(density) is TruncatedNormal
     assert (density.lower, density.upper) == (rho / 4, pytest.approx(3.5 * rho))
-    # one that is exact is no parameter
+    # an exact size is no parameter
     assert size_parameters(known("A1", {"thickness": 0.01, "density": 0.0})).names == ("thickness",)
 
 
@@ -91,7 +88,7 @@ def test_the_start_has_the_sizes_after_the_constants_and_every_start_is_possible
     begun, stated = start_of(specimen, 0, swarm_settings=QUICK), specimen.plate
     assert begun.posterior.parameters.names == ("E1", "nu12", "width", "thickness")
     assert begun.bests.shape == (20, 4)
-    if complete:  # the paper's swarm takes sizes as they are printed
+    if complete:  # the paper's swarm takes sizes as printed
         assert np.all(begun.bests[:, 2:] == [stated.width, stated.thickness])
     assert np.isfinite(begun.posterior.log_prob(begun.bests)).sum() > 10
 
@@ -111,7 +108,7 @@ def test_sampled_moduli_of_c1_widen_as_to_first_order():
 
 
 def own_list(plate, **stated):
-    """The list of a plate file by the model itself, repeatable to 0.2 %, with what else it states."""
+    """[measurement] with the model's own frequencies, repeatable to 0.2 %, and further entries."""
     f = cb.forward(parse_specimen(plate, "x"), n_modes=8).frequencies.tolist()
     given = "".join(f"{key} = {value}\n" for key, value in ({"relative_std": NOISE} | stated).items())
     return f"\n[measurement]\nfrequencies_hz = {f}\n{given}"
@@ -119,7 +116,7 @@ def own_list(plate, **stated):
 
 @cache
 def from_file(spread=""):
-    """To first order, about the optimum of eq. (7), with what the file states alone."""
+    """First-order result about the optimum of eq. (7), from the file's statements alone."""
     return cb.identify(parse_specimen(PLATE + spread + MEASURED, "x"), seed=1, residuals="absolute")
 
 
@@ -132,8 +129,7 @@ def error_of(result, name):
     ("name", "power"), [("thickness", -2.0), ("density", 1.0), ("frequency_scale", -2.0)]
 )
 def test_a_thin_plate_hides_thickness_density_and_frequency_scale_in_its_modulus(name, power):
-    # f^2 is proportional to E h^2 / rho; shear of a plate of 1/93 changes the power by less than 1 %
-    found = error_of(from_file(), name)
+    found = error_of(from_file(), name)  # f^2 ~ E h^2 / rho; shear of 1/93 changes the power by less than 1 %
     assert found.shift["E1"] == pytest.approx(power, rel=0.01)
     assert found.shift["nu12"] == pytest.approx(0.0, abs=0.02)
     assert found.visible < 0.02
@@ -151,10 +147,8 @@ def test_a_weighed_plate_of_another_size_has_the_constants_that_were_foretold(na
         for text in (weighed, larger)
     )
     moved = np.log(after.constants["E1"].value / before.constants["E1"].value) / 0.002
-    # the powers take what is known of nu12 before the list, which a fit of residuals does not
-    assert error_of(before, name).shift["E1"] == pytest.approx(moved, rel=0.02)
-    # with the mass instead of the density f^2 goes with E h^3 / m
-    for size, power in (("thickness", -3.0), ("mass", 1.0)):
+    assert error_of(before, name).shift["E1"] == pytest.approx(moved, rel=0.02)  # with the prior of nu12
+    for size, power in (("thickness", -3.0), ("mass", 1.0)):  # with the mass instead, f^2 ~ E h^3 / m
         assert error_of(before, size).shift["E1"] == pytest.approx(power, rel=0.01)
 
 
@@ -162,15 +156,14 @@ def test_the_interval_contains_the_stated_uncertainty_of_the_thickness():
     texts = ("", "\n[plate.sd]\nthickness_mm = 0.06\n")
     without, with_spread = (from_file(text).estimate.constants[0] for text in texts)
     assert with_spread.value == pytest.approx(without.value, rel=1e-3)
-    # 0.06 of 3 mm is 2 %, which moves E1 by 4 %
+    # 0.06 of 3 mm is 2 %, which shifts E1 by 4 %
     assert ((with_spread.sd**2 - without.sd**2) ** 0.5 / without.value) == pytest.approx(0.04, rel=0.02)
     assert with_spread.interval[0] < without.interval[0] < without.interval[1] < with_spread.interval[1]
 
 
 NAMES = ("E1", "E2", "nu12")
 PRIOR_SD = np.array([50.0, 1.0, 0.03])
-# Frequencies of a cross-ply: they determine E1 + E2, and nothing of nu12.
-SUM = np.array([[1.0, 1.0, 0.0]]) / 0.5
+SUM = np.array([[1.0, 1.0, 0.0]]) / 0.5  # cross-ply frequencies: E1 + E2, and nothing about nu12
 
 
 def with_priors(prior_sd):
@@ -200,12 +193,12 @@ def test_what_else_widens_an_interval_leaves_less_to_the_prior():
     assert LEAST_WIDENING <= less.widening < alone.widening
 
 
-EXACT = "length_mm = 0\nwidth_mm = 0\ndensity_kg_m3 = 0\n"  # all is exact but the thickness
+EXACT = "length_mm = 0\nwidth_mm = 0\ndensity_kg_m3 = 0\n"  # everything but the thickness is exact
 ONE = PLATE.replace("nu12 = [0.15, 0.4]\n", "")
 
 
 def identified(plate, thickness, listed):
-    """With a thickness that is known to so many mm, all else exactly, or all as usual."""
+    """Result with the thickness known to this many mm and all else exactly, or everything as usual."""
     sd = "" if thickness is None else f"\n[plate.sd]\nthickness_mm = {thickness}\n{EXACT}"
     return cb.identify(parse_specimen(f"{plate}{sd}{listed}", "x"), seed=1)
 
@@ -216,16 +209,14 @@ def test_one_modulus_is_known_as_well_as_noise_and_thickness_let_it_be():
     only_noise = identified(ONE, 0.0, exact)
     others = identified(ONE, 0.03, exact), identified(ONE, 0.0, scaled)
     found, thick, scale = (result.constants["E1"] for result in (only_noise, *others))
-    # f^2 goes with E: of eight frequencies with 0.2 % of noise the mean is known to 0.07 %, E to 0.14 %
-    assert found.value == pytest.approx(69e9, rel=3e-4)
+    assert found.value == pytest.approx(69e9, rel=3e-4)  # f^2 ~ E: f to 0.07 %, E to 0.14 %
     assert found.sd / found.value == pytest.approx(2 * NOISE / 8**0.5, rel=0.08)
     # 1 % of thickness is 2 % of E, and 0.4 % of the scale 0.8 %
     assert thick.sd / thick.value == pytest.approx(np.hypot(0.02, 2 * NOISE / 8**0.5), rel=0.05)
     assert scale.sd / scale.value == pytest.approx(np.hypot(0.008, 2 * NOISE / 8**0.5), rel=0.05)
     for c in (found, thick, scale):
         assert (c.interval[1] - c.interval[0]) / c.sd == pytest.approx(2 * 1.96, rel=0.05)
-    # left out: E goes with rho / h^2 and sides to the fourth, 1 % of density and thickness, 0.1 % of sides
-    usual = identified(ONE, None, own_list(ONE)).constants["E1"]
+    usual = identified(ONE, None, own_list(ONE)).constants["E1"]  # E ~ rho / h^2: 1 % of density, thickness
     assert usual.sd / usual.value == pytest.approx(np.sqrt(0.02**2 + 0.01**2), rel=0.05)
     assert "intervals contain noise and the data sheet (25 % assumed)." in only_noise.summary()
 
@@ -256,7 +247,7 @@ def test_identify_sample_sequence_and_diagnose_print_the_same_constants():
     answers = {verb.__name__: verb(PANEL, seed=3) for verb in (cb.sample, cb.diagnose)}
     answers["sequence"] = cb.sequence(parse_specimen(ONE_ANGLE, "panel"), seed=3)
     first = cb.identify(PANEL, seed=3).to_dict()["constants"]
-    assert first["E1_GPa"]["sd"] > 0.02 * first["E1_GPa"]["value"]  # the thickness, known to 1 %, is in it
+    assert first["E1_GPa"]["sd"] > 0.02 * first["E1_GPa"]["value"]  # includes the thickness, known to 1 %
     for verb, answer in answers.items():
         for name, constant in answer.to_dict()["constants"].items():
             value, sd = first[name]["value"], first[name]["sd"]
@@ -266,7 +257,6 @@ def test_identify_sample_sequence_and_diagnose_print_the_same_constants():
 
 
 def tolerant_panel(n):
-    """Its model of n modes with the numbers that are left open, and the values of all parameters."""
     values = reference_vector(PANEL, PANEL.unknowns)
     constants = dict(zip(PANEL.unknowns.names, values.tolist(), strict=True))
     own = tolerant(PANEL, reduced_model(PANEL, PANEL.unknowns, n), constants, np.arange(n))
@@ -285,7 +275,7 @@ def test_a_tolerant_model_predicts_the_plate_of_other_sizes():
     expected = converged_model(other, other.unknowns, 10).predict(x[:, :4]).frequencies
     x[0, 4:] *= [*factors.values(), 1.0005]
     assert expected[0, 7] / expected[0, 6] < 1.005  # two modes that have changed places
-    # of changes up to 2 %, the second order and the error of two solvers
+    # changes of up to 2 %: second order, and the error of two solvers
     np.testing.assert_allclose(own.predict(x).frequencies, 1.0005 * expected, rtol=2e-4)
 
 
@@ -293,7 +283,7 @@ def test_derivatives_of_a_tolerant_model_are_those_of_its_predictions():
     own, values = tolerant_panel(4)
     x = values * np.where(np.arange(len(values)) < 4, 1.0, 1.003)
     slopes = own.predict(x[None], jacobian=True).jacobian[0] * x
-    step = 1e-3 * np.diag(x)  # a tenth of it drowns in the rounding of eigenvalues
+    step = 1e-3 * np.diag(x)  # a tenth of it would drown in rounding of eigenvalues
     up, down = (own.predict(x + s * step).frequencies for s in (1.0, -1.0))
     np.testing.assert_allclose(slopes, (up - down).T / 2e-3, rtol=1e-3, atol=1e-6)
 
@@ -310,13 +300,11 @@ def test_a_narrowed_posterior_has_a_smaller_basis_that_errs_less_than_a_part_of_
 
     narrow = narrowed(whole, x)
     assert sizes(narrow) < sizes(whole)
-    # the list is rank by rank: two modes that change places err no more than each alone
-    assert np.abs(narrow.predict(x) / whole.predict(x) - 1.0).max() < 0.05 * 0.02
+    assert np.abs(narrow.predict(x) / whole.predict(x) - 1.0).max() < 0.05 * 0.02  # paired by rank
     assert narrowed(exact, x) is exact, "its own basis is no better"
 
 
-# F, Hz^2, and E1, GPa, of the best optimum of B1, and of the one where a single swarm of seed 1 ends.
-BEST_B1, WRONG_B1 = 13.062, 883.1
+BEST_B1, WRONG_B1 = 13.062, 883.1  # F, Hz^2, and E1, GPa, of B1's best optimum and of a single swarm's
 
 
 @pytest.mark.slow
@@ -350,8 +338,7 @@ def test_an_optimum_has_no_slope_where_no_bound_holds_it():
     for along in np.diag(step)[free]:
         around = value(best.x + along), value(best.x - along)
         assert min(around) >= best.value * (1.0 - 1e-9)
-        # a central difference, beside the curvature over the same step
-        assert abs(around[0] - around[1]) < 0.05 * (sum(around) - 2.0 * best.value)
+        assert abs(around[0] - around[1]) < 0.05 * (sum(around) - 2.0 * best.value)  # a central difference
 
 
 def test_a_budget_of_swarms_that_agree_on_nothing_is_said(monkeypatch):
@@ -366,8 +353,7 @@ def test_constants_that_differ_between_optima_are_not_determined():
     result = cb.identify("B2", seed=0, residuals="absolute")
     (e1,) = (c for c in result.estimate.constants if c.name == "E1")
     assert len(result.optima) > 1
-    # 53 GPa beside 110 GPa, of nearly one misfit
-    assert e1.value / 1e9 == pytest.approx(53.2, rel=0.01)
+    assert e1.value / 1e9 == pytest.approx(53.2, rel=0.01)  # 53 GPa and 110 GPa have almost the same misfit
     assert any(v / 1e9 == pytest.approx(109.9, rel=0.01) for v in e1.elsewhere)
     assert e1.verdict is not Verdict.DATA
     document = result.to_dict()
@@ -379,7 +365,7 @@ def test_constants_that_differ_between_optima_are_not_determined():
 
 @pytest.mark.slow
 def test_constants_of_a_model_that_misfits_the_stated_noise_are_not_determined():
-    """C1's printed frequencies leave 1.3 % whatever the constants are."""
+    """C1's printed frequencies leave 1.3 % whatever the constants."""
     c1 = builtin("C1")
     believed = replace(c1, measurement=replace(c1.measurement, relative_std=0.001))
     result, inferred = (cb.identify(specimen) for specimen in (believed, c1))
@@ -388,7 +374,7 @@ def test_constants_of_a_model_that_misfits_the_stated_noise_are_not_determined()
     assert {c.verdict for c in point.constants} <= {Verdict.MISFIT, Verdict.PRIOR}
     assert point.constants[0].verdict is Verdict.MISFIT
     assert "determine none of the constants" in result.summary()
-    # whatever is stated, the misfit decides how wide the intervals are
+    # whatever is stated, the misfit determines the width of the intervals
     for stated, from_misfit in zip(point.constants, inferred.estimate.constants, strict=True):
         assert 0.5 < stated.sd / from_misfit.sd < 2.0
 
@@ -413,19 +399,17 @@ def test_of_exact_data_the_posterior_is_that_of_the_jacobian_about_the_truth_and
     assert sampled.result.status == "converged"
     constants = sampled.constants.values()
     for constant in constants:
-        # data without noise: the posterior is centred on the truth but for its skewness
-        assert abs(constant.value - constant.reference) < 0.5 * constant.sd
+        assert abs(constant.value - constant.reference) < 0.5 * constant.sd  # centred but for skewness
         assert constant.interval[0] < constant.reference < constant.interval[1]
         assert constant.verdict is Verdict.DATA
     truth = np.array([[c.reference for c in constants]])
     prediction = converged_model(plate, plate.unknowns, 6).predict(truth, jacobian=True)
     weighted = prediction.jacobian[0] / (NOISE * prediction.frequencies[0])[:, None]
     expected = np.sqrt(np.diag(np.linalg.inv(weighted.T @ weighted)))
-    # 500 effective samples give an sd to 3 %; the model is linear over these spreads to about 2 %
-    np.testing.assert_allclose([c.sd for c in constants], expected, rtol=0.12)
-    # at a draw the data are chi2_2 away (two constants), a replicate list chi2_6 (six frequencies):
-    # P(chi2_6 > chi2_2) = 1 - E[exp(-G)] = 1 - (1/2)^3 with G = chi2_6 / 2 a Gamma(3) variable;
-    # 1000 draws of which at least 500 are effective give it to 0.015
+    np.testing.assert_allclose([c.sd for c in constants], expected, rtol=0.12)  # sampling 3 %, linearity 2 %
+    # a draw has chi2_2 for the data (two constants), chi2_6 for a replicate list (six frequencies): P(chi2_6
+    # > chi2_2) = 1 - E[exp(-G)] = 1 - (1/2)^3 with G = chi2_6 / 2 a Gamma(3) variable; 1000 draws, of which
+    # at least 500 effective, give it to 0.015
     assert sampled.p_value == pytest.approx(0.875, abs=0.05)
 
 

@@ -1,4 +1,4 @@
-"""Several lists in one identification: what they share, what each has of its own, what is refused."""
+"""Several lists in one identification: shared and individual parameters, and refusals."""
 
 import pytest
 
@@ -11,7 +11,6 @@ MATERIAL = {"isotropic": True, "E1_GPa": 69.0, "nu12": 0.33, "name": "aluminium"
 
 
 def plate(name, specimen, edges="FFFF", stretch=1.0):
-    """An aluminium plate with the list that its model has, all frequencies stretched."""
     unknowns = {"E1_GPa": [10.0, 200.0], "nu12": [0.15, 0.4]}
     table = described((300.0, 280.0, 3.0), 2700.0, MATERIAL, edges=edges, unknowns=unknowns)
     table |= {"name": name, "specimen": specimen}
@@ -21,7 +20,6 @@ def plate(name, specimen, edges="FFFF", stretch=1.0):
 
 
 def wrong_edges():
-    """A plate that was clamped, which its file calls free."""
     table = plate("clamped", "P", "CFFF")
     table["plate"]["edges"] = "FFFF"
     return table
@@ -33,7 +31,7 @@ def test_two_tests_of_a_plate_give_its_constants_with_smaller_intervals_and_two_
     free = cb.identify(plate("free", "P"), seed=0, residuals="whitened").constants
     for name, truth in (("E1", 69e9), ("nu12", 0.33)):
         assert tests.constants[name].value == pytest.approx(truth, abs=0.3 * tests.constants[name].sd)
-        assert tests.constants[name].sd < 1.02 * free[name].sd  # sampling knows a sd to 2 %
+        assert tests.constants[name].sd < 1.02 * free[name].sd  # sampling gives an sd to 2 %
     assert tests.constants["nu12"].sd < 0.95 * free["nu12"].sd
     # E1 is as exact as the thickness: a second test repeats its error, a second plate has its own
     sisters = cb.identify(plate("free", "P"), plate("clamped", "Q", "CFFF"), seed=0, scatter=1e-4)
@@ -81,7 +79,7 @@ def test_a_noise_that_is_high_for_a_tap_test_is_named_with_its_list():
 @pytest.mark.slow
 def test_a_file_that_contradicts_itself_is_named_before_anything_else():
     heavy = plate("heavy", "Q")
-    heavy["plate"]["mass_g"] = 748.0  # of 680
+    heavy["plate"]["mass_g"] = 748.0  # instead of 680
     joint = cb.identify(plate("free", "P"), heavy, seed=0)
     first = joint.notices[0]
     assert (first.code, first.facts["plate"]) == ("thicknesses_apart", "heavy")

@@ -1,4 +1,4 @@
-"""Constants of hybrids and of orthotropic plies in any order of moduli, from frequencies of one plate."""
+"""Constants of hybrids and of orthotropic plies with moduli in any order, from frequencies of one plate."""
 
 import json
 
@@ -11,7 +11,7 @@ from cpam_bayes.stacking.symmetry import plate_symmetries
 from tests.hybrids import HYBRID, UNKNOWNS, hybrid
 from tests.plate_file import described
 
-# Frequencies of tests.hybrids.HYBRID at these constants, GPa: the reference is another.
+# Frequencies of tests.hybrids.HYBRID at these constants, GPa; its reference differs.
 TRUTH = {"carbon.E1": 128.0, "carbon.E2": 8.6, "glass.E1": 43.0}
 
 
@@ -25,8 +25,7 @@ def set_truth(plate):
 def measured():
     plate = hybrid()
     set_truth(plate)
-    # finite elements, so that the inverse problem is not solved by the model that made the list
-    f = cb.forward(plate, n_modes=10, solver="fem").frequencies
+    f = cb.forward(plate, n_modes=10, solver="fem").frequencies  # finite elements, not the model fitted
     listed = {"frequencies_hz": f.round(3).tolist(), "resolution_hz": 0.001, "relative_std": 0.001}
     return {**HYBRID, "unknowns": UNKNOWNS, "measurement": listed}
 
@@ -56,8 +55,7 @@ def test_the_posterior_covers_the_constants_of_both_materials(measured, tmp_path
     stored = result.to_arviz().posterior
     assert {"carbon.E1_GPa", "carbon.E2_GPa", "glass.E1_GPa"} <= set(stored.data_vars)
     assert stored["glass.E1_GPa"].attrs["unit"] == "GPa"
-    # another layup of the same plies, from the stored draws
-    other = hybrid(layup="[c0/g90/c90]_s", thickness_mm=1.75)
+    other = hybrid(layup="[c0/g90/c90]_s", thickness_mm=1.75)  # another layup, from the stored draws
     predicted = cb.predict(tmp_path / "posterior.nc", other, n_modes=4)
     set_truth(other)
     for mode, f in zip(predicted.modes, cb.forward(other, n_modes=4).frequencies, strict=True):
@@ -94,7 +92,7 @@ def test_a_swarm_starts_within_the_constraints_of_each_material(measured):
     assert constants["carbon.E1"].min() >= 9.34e9
 
 
-# Spruce, its grain along x, and the same sheet with axis 1 across the grain.
+# Spruce with its grain along x, and the same sheet with axis 1 across the grain.
 GRAIN_1 = {"E1_GPa": 11.0, "E2_GPa": 0.9, "nu12": 0.53, "G12_GPa": 0.75, "G13_GPa": 0.6, "G23_GPa": 0.1}
 GRAIN_2 = GRAIN_1 | {"E1_GPa": 0.9, "E2_GPa": 11.0, "nu12": 0.53 * 0.9 / 11.0, "G13_GPa": 0.1, "G23_GPa": 0.6}
 CUT = "nu12 < 0.5, a positive definite stiffness, first of eq. (9)"
@@ -122,8 +120,7 @@ def test_the_constants_of_spruce_are_found_in_either_order(of_spruce, known, lay
     assert point.notices == ()
     for constant in point.estimate.constants:
         truth = point.specimen.material.complete()[constant.name]
-        # the list has no noise but its rounding, far below the noise that is stated
-        assert abs(constant.value - truth) < 0.5 * constant.sd
+        assert abs(constant.value - truth) < 0.5 * constant.sd  # only rounding, far below the stated noise
 
 
 @pytest.mark.slow

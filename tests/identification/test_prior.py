@@ -1,4 +1,4 @@
-"""One prior for all verbs: the bounds of [unknowns] times what is known of the references."""
+"""One prior for all verbs: the bounds of [unknowns] times the knowledge of the references."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +17,7 @@ from tests.diagnosed import diagnosed
 from tests.plate_file import MEASURED, PLATE, SHEET, SHEET_SD, described
 
 PANEL = str(Path(__file__).parents[2] / "examples" / "panel.toml")
-# The constants that the list of the panel was made with.
+# the constants of the panel's list
 TRUTH = {"E1": 136.5e9, "E2": 8.8e9, "nu12": 0.32, "G12": 4.62e9}
 SD = "\n[material.sd]\nE1_GPa = 2.0\n"
 
@@ -33,10 +33,8 @@ def point():
 
 @pytest.mark.slow
 def test_identify_sample_and_diagnose_answer_alike_and_right_on_the_panel_of_the_readme(point):
-    """Means and sds of n draws are known to 1 / sqrt(n) and 1 / sqrt(2 n) sd; apart, three of two answers.
-
-    Of `identify` and emcee 600 draws or more count, of the diagnosis as many as its weights say.
-    """
+    """Means and sds of n draws are accurate to 1 / sqrt(n) and 1 / sqrt(2 n) sd; three times for two answers.
+    `identify` and emcee give at least 600 effective draws, the diagnosis as many as its weights."""
     sampled = cb.sample(PANEL, seed=0)
     diagnosis = diagnosed([plate_case(cb.read_plate(PANEL))], ["frequency_scale"], gain=False)
     error = (1.0 / 600.0 + 1.0 / diagnosis.weighed.none.marginal.effective_size) ** 0.5
@@ -121,7 +119,6 @@ def test_a_prior_that_counts_is_called_by_where_it_is_from():
 
 
 def of_another_material(**changes):
-    """The panel's geometry, E1 of 55 GPa, and the data sheet of a stiffer material."""
     truth = {"E1_GPa": 55.0, "E2_GPa": 9.4, "nu12": 0.3, "G12_GPa": 4.7}
     sheet = {**SHEET, **changes}
     bounds = {"E1_GPa": [30.0, 200.0], "E2_GPa": [3.0, 20.0], "nu12": [0.1, 0.49], "G12_GPa": [1.5, 10]}
@@ -136,7 +133,7 @@ def of_another_material(**changes):
 
 @pytest.mark.slow
 def test_a_data_sheet_of_another_material_cuts_no_interval_and_is_named():
-    """It lies eight standard deviations away: the density of `identify` is that of emcee there too."""
+    """It is eight standard deviations away: there too the density of `identify` is that of emcee."""
     file = of_another_material()
     found, sampled = cb.identify(file, seed=0), cb.sample(file, seed=0)
     for name in ("E1", "E2", "G12"):
@@ -154,11 +151,10 @@ def test_a_data_sheet_of_another_material_cuts_no_interval_and_is_named():
 
 @pytest.mark.slow
 def test_where_the_prior_leaves_a_misfit_nothing_is_determined():
-    """A data sheet known to 0.4 % holds E1 away from the list."""
+    """A data sheet known to 0.4 % keeps E1 away from the list."""
     file = of_another_material(E1_GPa=60.0)
     file["plate"]["sd"] = {"length_mm": 0.0, "width_mm": 0.0, "thickness_mm": 0.0, "mass_g": 0.0}
-    # with a spread that allows for it the list is explained
-    free = cb.identify(file, seed=0)
+    free = cb.identify(file, seed=0)  # a spread large enough explains the list
     assert free.constants["E1"].is_determined
     assert not {"misfit_over_noise", "far_reference"} & {n.code for n in free.notices}
     file["material"]["sd"]["E1_GPa"] = 0.2

@@ -1,4 +1,4 @@
-"""The worth of a posterior: what determines it, what moves it, and whether it fits its data."""
+"""Assessment of a posterior: what determines it, what shifts it, and whether it fits its data."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def test_combinations_have_prior_over_noise_along_the_axes_of_the_covariance_and
         assert c.noise_sd == pytest.approx(float(np.sqrt(slope @ covariance @ slope)), rel=1e-10)
         assert c.prior_sd == pytest.approx(float(PRIOR_SD * np.linalg.norm(slope)), rel=1e-10)
         assert c.exponents[np.abs(c.exponents).argmax()] == 1.0
-    # fewer frequencies than unknowns leave one to the prior: frequency 3 of the model sees 15 a + 15 b
+    # fewer frequencies than unknowns leave one to the prior: frequency 3 of the model depends on 15 a + 15 b
     data = replace(data, frequencies=data.frequencies[2:3], labels=("",))
     pairing = Pairing(np.array([2]), np.empty(0, dtype=int), 0.0)
     found = assessment.combinations(plate_posterior(LinearModel(), data, np.zeros(4)), X, pairing)
@@ -61,18 +61,15 @@ def cumulative_js_distance(p: np.ndarray, q: np.ndarray, x: np.ndarray) -> float
 
 
 def test_sensitivity_to_the_likelihood_is_the_derivative_of_the_distance_of_each_parameter() -> None:
-    # even prior, likelihood N(0, 1): the power a makes the posterior N(0, 1 / a)
-    draws = np.random.default_rng(1).standard_normal((N, 2))
+    draws = np.random.default_rng(1).standard_normal((N, 2))  # N(0, 1) to the power a is N(0, 1 / a)
     found, unseen = assessment.power_scaling(("a", "b"), draws, NOTHING, NOTHING, -0.5 * draws[:, 0] ** 2)
     x = np.linspace(draws[:, 0].min(), draws[:, 0].max(), 20_001)
     distances = [cumulative_js_distance(norm.cdf(x), norm.cdf(x * np.sqrt(a)), x) for a in (1 / 1.01, 1.01)]
     expected = sum(distances) / (2.0 * np.log2(1.01))
-    # the tails that count are those of 20000 draws
-    assert found.likelihood == pytest.approx(expected, rel=0.1)
+    assert found.likelihood == pytest.approx(expected, rel=0.1)  # the relevant tails are those of 20000 draws
     assert (found.prior, found.noise_prior, found.diagnosis) == (0.0, 0.0, "likelihood has a say")
     assert unseen.diagnosis == "likelihood is weak"
-    # a prior far from the data: N(0, 1) times N(8, 1) is N(4, 1 / 2)
-    x = np.random.default_rng(1).normal(4.0, np.sqrt(0.5), size=N)
+    x = np.random.default_rng(1).normal(4.0, np.sqrt(0.5), size=N)  # N(0, 1) times N(8, 1)
     (far,) = assessment.power_scaling(("a",), x[:, None], -0.5 * x**2, NOTHING, -0.5 * (x - 8.0) ** 2)
     assert far.diagnosis == "prior and data disagree"
     assert far.prior == pytest.approx(far.likelihood, rel=0.1)  # by symmetry
@@ -93,14 +90,12 @@ def test_moving_a_bound_of_an_even_posterior_moves_its_mean_by_half_as_much() ->
     own, rng = parameters(a=Uniform(0.0, 1.0), b=TruncatedNormal(0, 1, -5, 5)), np.random.default_rng(3)
     draws = np.column_stack((rng.uniform(0.0, 1.0, N), rng.standard_normal(N)))
     lower, upper = assessment.moved_bounds(own, draws)  # b's prior is no interval
-    # a tenth cut off one side: the mean moves by 0.05 of sd 12^-1/2; known to 20000^-1/2 sd
-    for moved, sign in ((lower, 1.0), (upper, -1.0)):
+    for moved, sign in ((lower, 1.0), (upper, -1.0)):  # the mean shifts by 0.05, with sd 12^-1/2
         assert moved.name == "a"
         assert moved.cut == pytest.approx(0.1, abs=0.01)
         assert moved.shift[0] == pytest.approx(sign * 0.05 * np.sqrt(12.0), abs=0.03)
         assert moved.shift[1] == pytest.approx(0.0, abs=0.03)
-    # past all draws it says nothing
-    lower, upper = assessment.moved_bounds(own, draws * [0.05, 1.0])
+    lower, upper = assessment.moved_bounds(own, draws * [0.05, 1.0])  # beyond all draws it says nothing
     np.testing.assert_array_equal([lower.cut, lower.shift[0], upper.shift[0]], [1.0, np.nan, 0.0])
 
 
@@ -109,13 +104,12 @@ N_DRAWS, NU = 4000, "nu12 < 0.5"
 
 
 def cut_normal(beyond: float) -> np.ndarray:
-    """Draws above 0 of a normal density that has a fraction ``beyond`` of it below."""
+    """Draws of a normal density truncated at 0, below which a fraction ``beyond`` of it would lie."""
     mean = -norm.ppf(beyond)
     return truncnorm.rvs(-mean, np.inf, loc=mean, size=N_DRAWS, random_state=np.random.default_rng(0))
 
 
-# E1 / E2 - 1 of wide priors has an sd as large as its mean, and no draw near 0.
-WIDE_RATIO = np.random.default_rng(1).lognormal(2.5, 0.7, size=N_DRAWS) + 2.0
+WIDE_RATIO = np.random.default_rng(1).lognormal(2.5, 0.7, size=N_DRAWS) + 2.0  # sd as large as the mean
 
 
 @pytest.mark.parametrize(
@@ -161,7 +155,7 @@ def test_an_optimum_on_a_constraint_is_found(symmetry, optimum, limits) -> None:
 
 
 def refitted() -> tuple[np.ndarray, np.ndarray]:
-    """Residuals and predictive sd of each frequency from a least-squares fit to the other three."""
+    """Residual and predictive sd of each frequency from a least-squares fit to the other three."""
     f, residual, sd = measurement(0.01).frequencies, np.empty(4), np.empty(4)
     for i in range(4):
         kept = np.delete(np.arange(4), i)
@@ -189,14 +183,12 @@ def test_closed_form_is_the_refit_of_a_linear_model_from_draws_within_sampling_e
     exact = assessment.cavity(residual, variance / sigma**2, sigma**2, "optimum")
     np.testing.assert_allclose(exact.residual, expected, rtol=1e-10)
     np.testing.assert_allclose(exact.sd, sd, rtol=1e-10)
-    # the trace of a hat matrix is the number of parameters
-    assert exact.leverage.sum() == pytest.approx(2.0, rel=1e-12)
+    assert exact.leverage.sum() == pytest.approx(2.0, rel=1e-12)  # trace: the number of parameters
     found = assessment.leave_one_out(posterior, draws, predicted, ONE_TO_ONE, draws[0])
-    # leverages, at most 0.7 here, are known to sqrt(2 / 40000) = 0.7 %: 1 - h to 1.6 %, times three
+    # leverages, at most 0.7 here, are accurate to sqrt(2 / 40000) = 0.7 %: 1 - h to 1.6 %, times three
     np.testing.assert_allclose(found.residual, expected, rtol=0.05, atol=0.02 * sd.min())
     np.testing.assert_allclose(found.sd, sd, rtol=0.025)
-    # a frequency without a mode is not left out
-    pairing = Pairing(np.array([0, -1, 2, 3]), np.array([1]), 0.0)
+    pairing = Pairing(np.array([0, -1, 2, 3]), np.array([1]), 0.0)  # frequencies without modes are kept
     three = assessment.leave_one_out(posterior, draws, predicted, pairing, draws[0])
     np.testing.assert_array_equal(three.residual, found.residual[[0, 2, 3]])
 
@@ -208,10 +200,8 @@ def test_heavy_tails_count_less_and_predict_wider() -> None:
     from_draws = draws, predicted, ONE_TO_ONE, draws[0]
     gaussian, nearly, student = (assessment.leave_one_out(own, *from_draws) for own in of)
     np.testing.assert_allclose(nearly.sd, gaussian.sd, rtol=1e-5)
-    # information (nu + 1) / (nu + 3) = 5 / 7 of a Gaussian's
-    np.testing.assert_allclose(student.leverage, 5 / 7 * gaussian.leverage, rtol=1e-12)
-    # v without the datum plus nu / (nu - 2) = 2 times the squared scale
-    own = (0.01 * data.frequencies) ** 2
+    np.testing.assert_allclose(student.leverage, 5 / 7 * gaussian.leverage, rtol=1e-12)  # (nu + 1) / (nu + 3)
+    own = (0.01 * data.frequencies) ** 2  # variance without the datum, plus nu / (nu - 2) = 2 scale^2
     without = 7 / 5 * own * student.leverage / (1 - student.leverage)
     np.testing.assert_allclose(student.sd**2, without + 2.0 * own, rtol=1e-12)
 
@@ -222,8 +212,7 @@ def test_of_two_optima_the_best_one_is_linearised() -> None:
     twice = np.concatenate((draws, draws + 1.0))
     found = assessment.leave_one_out(posterior, twice, posterior.predict(twice), ONE_TO_ONE, mean)
     assert found.basis == "optimum"
-    # a Gaussian of the prior's variance 4^2 / 12 about the optimum stands for the uniform prior
-    f = posterior.measurement.frequencies
+    f = posterior.measurement.frequencies  # prior: a Gaussian of variance 4^2 / 12 about the optimum
     sigma, residual = 0.01 * f, f - MEAN_HZ - SLOPE_HZ @ mean
     with_prior = np.linalg.inv(np.linalg.inv(covariance) + 12 / 16 * np.eye(2))
     leverage = np.einsum("ij,jk,ik->i", SLOPE_HZ, with_prior, SLOPE_HZ) / sigma**2
@@ -233,18 +222,15 @@ def test_of_two_optima_the_best_one_is_linearised() -> None:
 
 
 def test_importance_sampling_has_the_closed_form_or_says_that_one_frequency_holds_everything() -> None:
-    # eight data of sd 1 about one mean: every leverage is 1 / 8
-    rng = np.random.default_rng(4)
+    rng = np.random.default_rng(4)  # eight data of sd 1 about one mean: every leverage is 1 / 8
     y, theta = rng.standard_normal(8), rng.normal(0.0, np.sqrt(1 / 8), size=(4000, 1))
     theta += y.mean()
     found = assessment.importance_leave_one_out(-0.5 * (y - theta) ** 2 - 0.5 * np.log(2.0 * np.pi))
     assert found.reliable
     assert found.k_hat.shape == (8,)
     exact = assessment.cavity(y - y.mean(), np.full(8, 1 / 8), np.ones(8), "optimum")
-    # eight weighted means over 4000 draws, each good to about 0.4 % of its density
-    assert found.log_score == pytest.approx(exact.log_score, abs=0.03)
-    # frequency 1 alone sees a here: without it the posterior is wider by orders of magnitude
-    a = np.random.default_rng(0).normal(0.0, 1.0, size=4000)
+    assert found.log_score == pytest.approx(exact.log_score, abs=0.03)  # 4000 draws, 0.4 % of each density
+    a = np.random.default_rng(0).normal(0.0, 1.0, size=4000)  # only frequency 1 depends on a
     log_density = np.column_stack((-0.5 * a**2 * 0.995, -0.5 * (0.05 * a) ** 2))
     found = assessment.importance_leave_one_out(log_density)
     assert not found.reliable

@@ -1,4 +1,4 @@
-"""Pairings of lists, against enumeration; lists that seem to lack a mode; profile likelihoods."""
+"""Pairings of lists against enumeration; lists that seem to lack a mode; profile likelihoods."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -21,7 +21,7 @@ from tests.toy_models import parameters
 
 
 def every_pairing(log_density, in_range, span: float, prior) -> list[tuple[float, np.ndarray]]:
-    """Log likelihood and mode numbers of every pairing that keeps the order, one by one."""
+    """Log likelihood and mode numbers of every order-preserving pairing, one by one."""
     n, k = log_density.shape
     found = []
     for size in range(min(n, k) + 1):
@@ -40,7 +40,7 @@ def every_pairing(log_density, in_range, span: float, prior) -> list[tuple[float
     ("seed", "share"), [(seed, share) for share, n in ((0.0, 40), (0.5, 20)) for seed in range(n)]
 )
 def test_sum_and_maximum_over_pairings_equal_those_of_an_enumeration(seed: int, share: float) -> None:
-    """Frequencies with labels, a share of all, keep their modes; the list is the second of a stack."""
+    """Labelled frequencies, a share of all, keep their modes; the list is the second of a stack."""
     rng = np.random.default_rng(seed)
     n, k = rng.integers(1, 5), rng.integers(4, 7) if share else rng.integers(1, 6)
     labelled = rng.uniform(size=n) < share
@@ -76,7 +76,6 @@ LINEAR = MEAN_HZ + SLOPE_HZ @ np.array([0.4, -0.3])
 
 
 def best(posterior: Posterior) -> np.ndarray:
-    """The most probable parameters over their scores."""
     nowhere = np.empty((0, posterior.parameters.size))
     return posterior.scores.to_x(find_optima(posterior, nowhere, settings=POLISHED).z[0])
 
@@ -93,8 +92,7 @@ def test_a_missing_mode_and_a_frequency_that_is_none_are_named_and_nothing_else_
         found = doubt_of_linear(np.delete(LINEAR, missing))
         assert (found.missed, found.spurious) == (missing, None)
         assert found.log_odds > 100.0
-        # three exact frequencies and two constants: the slip's optimum is the truth, but for the even priors,
-        # which over scores draw it to their middle by a hundredth of its standard deviation of 0.1
+        # the slip's optimum is the truth; flat priors pull scores by a hundredth of the sd of 0.1
         np.testing.assert_allclose(found.x, [0.4, -0.3], atol=2e-3)
     for extra in (150.0, 250.0):
         listed = np.sort(np.append(LINEAR[:3], extra))
@@ -106,7 +104,7 @@ def test_a_missing_mode_and_a_frequency_that_is_none_are_named_and_nothing_else_
 
 @cache
 def case(name: str) -> SimpleNamespace:
-    """A plate, a model of one mode more than its list has, and frequencies of its reference constants."""
+    """A plate, a model with one mode more than its list, and frequencies of its reference constants."""
     specimen = read_specimen(name)
     model = reduced_model(specimen, specimen.unknowns, specimen.measurement.size + 1)
     f = model.predict(reference_vector(specimen, model.parameters)).frequencies[0]
@@ -131,8 +129,7 @@ def test_the_mode_that_a_plate_list_lacks_is_named_and_a_false_peak_too(missing,
     found = examined(aluminium, np.delete(f, missing), relative_std)
     modes = aluminium.model.full.modes(np.array([69e9, 0.33]))
     assert found.missed.label == modes[missing].label
-    # noise of 0.5 % in six frequencies leaves the missed one to about that
-    assert found.missed.frequency == pytest.approx(modes[missing].frequency, rel=0.03)
+    assert found.missed.frequency == pytest.approx(modes[missing].frequency, rel=0.03)  # noise of 0.5 %
     if not missing:
         assert examined(aluminium, np.append(f[:6], 400.0), relative_std).spurious == 400.0
 
@@ -158,14 +155,14 @@ def test_four_constants_and_six_frequencies_are_enough_to_miss_a_mode() -> None:
 
 
 def profiles(posterior: Posterior, names: tuple[str, ...] = ("a", "b"), n: int = 21) -> tuple[Profile, ...]:
-    """Profiles that start from draws spread over the support, as of a poor chain."""
+    """Profiles started from draws spread over the support, like those of a poor chain."""
     draws = posterior.parameters.sample(np.random.default_rng(5), 4000)
     height = posterior.log_prob(draws)
     kept = height > height.max() - 8.0
     return completeness.profile_likelihoods(posterior, names, draws[kept], height[kept], n)
 
 
-# The prior of the parameter that is profiled does not enter.
+# The prior of the profiled parameter does not enter.
 INFORMED = parameters(a=TruncatedNormal(-1.0, 0.02, -2.0, 2.0), b=Uniform(-2.0, 2.0))
 
 
@@ -176,26 +173,22 @@ def test_profiles_of_a_linear_model_are_parabolas(is_even: bool) -> None:
     mean, covariance = exact_gaussian(data)
     for k, found in enumerate(profiles(plate_posterior(model, data, np.zeros(4)), names)):
         sd = float(np.sqrt(covariance[k, k]))
-        # an optimisation ends when steps promise less than 1e-7 nats
-        expected = 0.5 * ((found.values - mean[k]) / sd) ** 2
+        expected = 0.5 * ((found.values - mean[k]) / sd) ** 2  # optimisations end at a gain of 1e-7 nats
         np.testing.assert_allclose(found.drop, expected, rtol=1e-6, atol=2e-6)
         if not is_even:  # its draws lie elsewhere
             continue
         assert found.best == pytest.approx(mean[k], abs=1e-3 * sd)
-        # linear in the root of the drop, which a parabola's is
-        ends = mean[k] + np.array([-1.0, 1.0]) * np.sqrt(2.0 * DROP_95) * sd
+        ends = mean[k] + np.array([-1.0, 1.0]) * np.sqrt(2.0 * DROP_95) * sd  # linear in the root of the drop
         np.testing.assert_allclose((found.lower, found.upper), ends, atol=2e-3 * sd)
         assert (found.lower_open, found.upper_open) == (False, False)
 
 
 def test_where_bounds_hold_the_profile_is_that_of_a_search_and_its_interval_open() -> None:
-    # at 30 % noise the bounds of b at -2 and 2 are reached from both ends of a
-    posterior = plate_posterior(LinearModel(), measurement(0.3), np.zeros(4))
+    posterior = plate_posterior(LinearModel(), measurement(0.3), np.zeros(4))  # limited by the bounds of b
     (found,) = profiles(posterior, ("a",))
     b, asked = np.linspace(-2.0, 2.0, 4001), (*found.values, found.best)
     *best, at_best = (posterior.log_likelihood(np.column_stack((0 * b + a, b))).max() for a in asked)
-    # the grids of the search miss a maximum by at most 1e-4 nats
-    np.testing.assert_allclose(found.drop, at_best - np.array(best), atol=2e-4)
+    np.testing.assert_allclose(found.drop, at_best - np.array(best), atol=2e-4)  # the grids miss 1e-4 nats
     assert np.all(found.drop >= 0.0)
     # an interval that reaches a bound is open there
     (found,) = profiles(plate_posterior(LinearModel(), measurement(3.0), np.zeros(4)), ("b",))
@@ -208,14 +201,11 @@ def test_inferred_noise_is_maximised_over_with_its_prior() -> None:
     (found,) = profiles(posterior, ("a",), n=7)
     f, s, height = posterior.measurement.frequencies, np.geomspace(1e-4, 0.1, 20_001), []
     for a in (*found.values, found.best):
-        # relative noise weighs by 1 / f^2 whatever its amplitude, so b is found first
-        residual, slope = (f - MEAN_HZ - SLOPE_HZ[:, 0] * a) / f, SLOPE_HZ[:, 1] / f
+        residual, slope = (f - MEAN_HZ - SLOPE_HZ[:, 0] * a) / f, SLOPE_HZ[:, 1] / f  # weights are 1 / f^2
         b = float(slope @ residual / (slope @ slope))
         x = np.column_stack((np.full_like(s, a), np.full_like(s, b), s))
-        # with even priors of a and b, and that of the noise over its score
-        of_noise = -0.5 * posterior.scores.to_z(x)[:, 2] ** 2
+        of_noise = -0.5 * posterior.scores.to_z(x)[:, 2] ** 2  # the prior over the noise's score
         height.append(float((posterior.log_likelihood(x) + of_noise).max()))
-    # an optimisation ends when steps promise less than 1e-7 nats
     np.testing.assert_allclose(found.drop, height[-1] - np.array(height[:-1]), atol=2e-6)
 
 
@@ -236,5 +226,4 @@ def test_a_region_in_two_parts_is_spanned_and_counted() -> None:
     np.testing.assert_allclose(found.drop, exact, atol=2e-6)
     assert found.parts == 2
     end = float(np.sqrt(mean[0] + np.sqrt(2.0 * DROP_95 * covariance[0, 0])))
-    # the root of the drop is bent by a^2 between grid points 0.01 apart
-    assert (-found.lower, found.upper) == pytest.approx((end, end), abs=1e-3)
+    assert (-found.lower, found.upper) == pytest.approx((end, end), abs=1e-3)  # curved by a^2 on the grid

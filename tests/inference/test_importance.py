@@ -1,4 +1,4 @@
-"""Mixtures of Student-t densities, proposals made of them, and importance sampling by these."""
+"""Mixtures of Student-t densities, proposals made from them, and importance sampling with these."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ LOG_OF = np.array([0.0, -40.0, 300.0])
 
 
 def target(z: np.ndarray) -> np.ndarray:
-    """Three densities of two variables whose integrals are known: Gaussians of other widths."""
+    """Three densities of two variables with known integrals: Gaussians of different widths."""
     width = np.array([1.0, 0.5, 2.0])[:, None]
     squared = np.sum((z - 0.3) ** 2, axis=2) / width**2
     return LOG_OF[:, None] - 0.5 * squared - np.log(2.0 * np.pi) - 2.0 * np.log(width)
@@ -57,7 +57,7 @@ def test_evidences_of_a_stack_are_found_within_their_errors_and_refitting_makes_
         np.testing.assert_allclose(found.standard_error, weight.std(axis=1) * 2**5.5, rtol=1e-9)
         np.testing.assert_allclose(found.k_hat, [pareto_shape(w) for w in np.log(weight)], rtol=1e-9)
     assert np.all(again.effective_size[1:] > 1.2 * once.effective_size[1:])
-    # each density has what it has alone
+    # each density gives what it gives alone
     second = Mixture(proposal.share[1:2], proposal.centre[1:2], proposal.factor[1:2], 5.0)
 
     def of_second(z: np.ndarray) -> np.ndarray:
@@ -77,7 +77,7 @@ def test_a_gaussian_proposal_that_is_the_target_leaves_no_error() -> None:
     np.testing.assert_array_equal(left.factor, gaussian.factor)
 
 
-# sizes of which a fifth, or three roots, is a whole number: arviz rounds the number of the tail down, we up
+# a fifth, or three roots, of these sizes is an integer: arviz rounds the size of the tail down, we up
 @pytest.mark.parametrize("n", [40, 125, 900, 10_000])
 @pytest.mark.parametrize("seed", range(5))
 def test_k_hat_is_that_of_arviz(n: int, seed: int) -> None:
@@ -87,7 +87,7 @@ def test_k_hat_is_that_of_arviz(n: int, seed: int) -> None:
     assert pareto_shape(log_weight) == pytest.approx(float(k_hat), rel=1e-9)
 
 
-# Two components, correlated, over normal scores.
+# Two correlated components over normal scores.
 FACTORS = np.array([[[0.4, 0.0], [0.2, 0.3]], [[0.3, 0.0], [-0.1, 0.5]]])
 MIXTURE = Mixture(np.array([0.7, 0.3]), np.array([[-0.5, 0.3], [1.0, -0.8]]), FACTORS, 5.0)
 BOUNDED = Uniform(-1.0, 3.0)
@@ -97,7 +97,7 @@ PRIORS["no bound"] = TruncatedNormal(0.0, 0.5, -np.inf, np.inf)
 
 
 def posterior(prior: Prior | None) -> Posterior:
-    """One parameter with two bounds, and one with another prior or, for none, the inferred noise."""
+    """Posterior of a bounded parameter and one with another prior, or for None with inferred noise."""
     own = parameters(a=BOUNDED) if prior is None else parameters(a=BOUNDED, b=prior)
 
     def function(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -115,20 +115,17 @@ def test_densities_integrate_to_one_and_draws_lie_in_bounds_and_follow_them(make
     proposal, n = Proposal(own.scores, MIXTURE), 20_000
     x = proposal.draw(n, make(0))
     assert np.all((x >= own.parameters.lower) & (x <= own.parameters.upper))
-    # values of each parameter, dense where the density is, up to 1e-12 of the bounds
-    z = np.linspace(-7.0, 7.0, 1201)
+    z = np.linspace(-7.0, 7.0, 1201)  # values dense where the density is, up to 1e-12 of the bounds
     edges = proposal.scores.to_x(np.stack((z, z), axis=1)).T
     grid = np.stack(np.meshgrid(*edges, indexing="ij"), axis=-1)
     height = np.exp(proposal.log_density(grid.reshape(-1, 2))).reshape(grid.shape[:2])
     total = np.trapezoid(np.trapezoid(height, edges[1], axis=1), edges[0])
-    # tails beyond 17 hold below 1e-6; the rule leaves 7e-4 at most, an error that falls as its steps squared
-    assert total == pytest.approx(1.0, abs=1e-3)
+    assert total == pytest.approx(1.0, abs=1e-3)  # tails hold below 1e-6; the rule leaves 7e-4 at most
     for i in (0, 1):
         marginal = np.trapezoid(height, edges[1 - i], axis=1 - i)
         steps = 0.5 * (marginal[1:] + marginal[:-1]) * np.diff(edges[i])
         below = np.interp(x[:, i], edges[i], np.concatenate(([0.0], np.cumsum(steps))))
-        # uniform where the draws have the density: Kolmogorov's bound at 1 in 10 000, and the quadrature
-        gap = np.abs(np.sort(below) - (np.arange(n) + 0.5) / n).max()
+        gap = np.abs(np.sort(below) - (np.arange(n) + 0.5) / n).max()  # Kolmogorov at 1 in 10 000
         assert gap < 2.23 / np.sqrt(n) + 2e-3
 
 
@@ -148,12 +145,11 @@ def test_the_proposal_that_is_left_is_near_its_posterior(own: Posterior) -> None
 
 
 LOG_Z = -12.0
-# A standard normal a, b, c seen as (a, SHARP b + BEND a^2, c): the Jacobian is SHARP.
-SHARP, BEND = 0.05, 0.7
+SHARP, BEND = 0.05, 0.7  # standard normal a, b, c seen as (a, SHARP b + BEND a^2, c); Jacobian SHARP
 
 
 def straight(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the standard normal variables are at points (m, 3), and their derivatives (m, 3, 3)."""
+    """Standard normal variables at points (m, 3), and their derivatives (m, 3, 3)."""
     y = np.stack((z[:, 0], (z[:, 1] - BEND * z[:, 0] ** 2) / SHARP, z[:, 2]), axis=1)
     slope = np.tile(np.diag([1.0, 1.0 / SHARP, 1.0]), (len(z), 1, 1))
     slope[:, 1, 0] = -2.0 * BEND * z[:, 0] / SHARP
@@ -168,8 +164,7 @@ def expand(z: np.ndarray) -> Expansion:
 
 CURVATURE = expand(np.zeros((1, 3))).curvature
 FACTOR = np.linalg.cholesky(np.linalg.inv(CURVATURE))[None]
-# Laplace's approximation, which lies across the bend.
-LAPLACE = Mixture(np.ones((1, 1)), np.zeros((1, 1, 3)), 1.15 * FACTOR, 6.0)
+LAPLACE = Mixture(np.ones((1, 1)), np.zeros((1, 1, 3)), 1.15 * FACTOR, 6.0)  # across the bend
 
 
 def test_integral_and_moments_of_a_bent_ridge_are_found_where_refitting_alone_fails_and_of_a_gaussian_soon():
@@ -185,7 +180,7 @@ def test_integral_and_moments_of_a_bent_ridge_are_found_where_refitting_alone_fa
     refitted, _ = importance(log_density, LAPLACE, Rounds(9, most=8, enough=np.inf))
     assert abs(refitted.log_evidence[0] - LOG_Z) > 0.2
 
-    # of a Gaussian it ends as soon as the points are enough
+    # for a Gaussian it ends as soon as there are enough points
     def of_gaussian(z: np.ndarray) -> Expansion:
         value = expand(np.zeros((1, 3))).value - 0.5 * np.einsum("mi,ij,mj->m", z, CURVATURE[0], z)
         return Expansion(value, -z @ CURVATURE[0], np.tile(CURVATURE, (len(z), 1, 1)))

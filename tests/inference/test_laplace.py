@@ -24,7 +24,6 @@ ERROR = np.array([1e-3, 2e-3, 1e-3, 3e-3])
 
 
 def curved(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Five frequencies that are not linear in two parameters."""
     slope = np.vstack((SLOPE_HZ, [5.0, 5.0]))
     z = x @ slope.T
     return np.append(MEAN_HZ, 500.0) + z + 0.01 * z**2, (1.0 + 0.02 * z)[:, :, None] * slope
@@ -56,8 +55,7 @@ def test_gradients_are_limits_of_differences_and_a_stack_gives_what_each_vector_
     x, steps = own.scores.to_x(z), np.eye(z.shape[1])
     e = own.expand(z)
     np.testing.assert_allclose(e.value, own.log_density(z), rtol=1e-12)
-    # over the parameters it is the posterior, the scores' Jacobian apart
-    prior = own.scores.log_prior(z) - own.parameters.log_prior(x)
+    prior = own.scores.log_prior(z) - own.parameters.log_prior(x)  # apart from the scores' Jacobian
     np.testing.assert_allclose(e.value, own.log_prob(x) + prior, rtol=1e-9)
 
     def differences(h: float) -> np.ndarray:
@@ -66,9 +64,8 @@ def test_gradients_are_limits_of_differences_and_a_stack_gives_what_each_vector_
 
     extrapolated = (4.0 * differences(1e-4) - differences(2e-4)) / 3.0
     size = np.abs(e.gradient).max(axis=1, keepdims=True)
-    # rounding of a log probability of some 1e3 over the step of 1e-4, beside gradients of some 1e2
-    np.testing.assert_array_less(np.abs(e.gradient - extrapolated) / size, 1e-6)
-    # summed pairings are differenced: rounding over the square of the step
+    np.testing.assert_array_less(np.abs(e.gradient - extrapolated) / size, 1e-6)  # rounding over the step
+    # sums over pairings are differenced: rounding over the square of the step
     near = {"rtol": 1e-9} if own.measurement.complete else {"rtol": 1e-4, "atol": 1e-2}
     together = own.expand_likelihood(x)
     for i in range(5):
@@ -133,8 +130,7 @@ def test_scores_have_the_distribution_function_of_the_prior_its_slope_and_come_b
         assert share == pytest.approx(norm.cdf(z), abs=1e-8)
     x = scores.to_x(z := np.linspace(-4.0, 4.0, 33)[:, None])
     assert np.all(np.diff(x[:, 0]) > 0.0)
-    # scipy's quantiles of Student's t are good to 3e-8 scales about the centre, where a one-sided prior
-    # has its lower tail
+    # scipy's quantiles of Student's t are accurate to 3e-8 scales about the centre
     np.testing.assert_allclose(scores.to_z(x), z, atol=1e-7)
     z, x = z[[12, 19]], x[[12, 19]]
     np.testing.assert_allclose(scores.slope(x, z), norm.pdf(z) / np.exp(prior.log_density(x)), rtol=1e-9)
@@ -152,12 +148,11 @@ def test_scores_are_finite_on_bounds_and_mirrored_where_priors_are() -> None:
         assert np.all((x >= lower) & (x <= upper))
     z = np.linspace(-6.5, 6.5, 27)[:, None]
     one, mirrored = (of(EVERY_PRIOR[f"normal far in the {side} tail"]) for side in ("upper", "lower"))
-    # six standard deviations out, where 1 - Phi has seven digits only
-    np.testing.assert_allclose(one.to_x(z), -mirrored.to_x(-z), rtol=1e-14)
+    np.testing.assert_allclose(one.to_x(z), -mirrored.to_x(-z), rtol=1e-14)  # 1 - Phi has seven digits
 
 
 def test_a_likelihood_over_parameters_becomes_a_posterior_over_scores() -> None:
-    """Gradient by differences, curvature of a linear model and its prior."""
+    """Gradient by differences; curvature of a linear model plus its prior."""
     scores, rng = of(*EVERY_PRIOR.values()), np.random.default_rng(2)
     n = len(EVERY_PRIOR)
     a = rng.standard_normal((n, n)) / scores.parameters.upper.clip(0.01, 5.0)
@@ -182,18 +177,17 @@ def test_a_likelihood_over_parameters_becomes_a_posterior_over_scores() -> None:
 A = np.array([[2.0, 1.0], [0.5, 1.5], [1.0, -1.0]])
 B = np.array([[1.0, -0.4, 0.3], [-9.0, 4.0, 1.0], [0.0, 9.0, -9.0]])
 LOWER, UPPER = np.array([-1.0, -1.0]), np.array([1.0, 1.0])
-# What is left to gain when an optimisation ends, 1e-9, over the least curvature, 2.9: sqrt(2 * 1e-9 / 2.9).
-NEAR = 2.7e-5
+NEAR = 2.7e-5  # remaining gain 1e-9 over the least curvature 2.9: sqrt(2 * 1e-9 / 2.9)
 
 
 def least_squares(u: np.ndarray, rows: np.ndarray) -> Expansion:
-    """-|A u - b|^2 / 2 with a b of its own for every optimisation."""
+    """-|A u - b|^2 / 2 with a different b for every optimisation."""
     r = u @ A.T - B[rows]
     return Expansion(-0.5 * np.sum(r**2, axis=1), -r @ A, np.tile(A.T @ A, (len(u), 1, 1)))
 
 
 def kink(u: np.ndarray, rows: np.ndarray) -> Expansion:
-    """A ridge -|8 (x - y)| - ((x + y) / 2 - 0.8)^2: along each side the slope leads into the ridge."""
+    """A ridge -|8 (x - y)| - ((x + y) / 2 - 0.8)^2: on each side the slope leads into the ridge."""
     x, y = u.T
     middle, side = (x + y) / 2 - 0.8, np.sign(x - y)
     gradient = np.stack((-8.0 * side - middle, 8.0 * side - middle), axis=1)
@@ -215,14 +209,13 @@ def test_bounded_least_squares_ends_where_an_independent_program_does_and_outsid
     for i in range(3):
         expected = lsq_linear(A, B[i], bounds=(LOWER, UPPER), tol=1e-14).x
         np.testing.assert_allclose(found.u[i], expected, atol=NEAR)
-    assert np.any(found.u == LOWER)  # an optimum on bounds is among them
+    assert np.any(found.u == LOWER)  # one optimum is on a bound
     assert np.any(np.abs(found.u) < 0.9)
-    # polls leave a true optimum where it is
-    u, _, verified = polished(watched, found.u[0], found.expansion.of(np.array([0])))
+    u, _, verified = polished(watched, found.u[0], found.expansion.of(np.array([0])))  # polls keep an optimum
     assert verified
     np.testing.assert_array_equal(u, found.u[0])
 
-    # a start outside the support stays and is not converged
+    # a start outside the support stays there and does not converge
     def holed(u: np.ndarray, rows: np.ndarray) -> Expansion:
         found = least_squares(u, rows)
         return Expansion(np.where(u[:, 0] > 0.5, -np.inf, found.value), found.gradient, found.curvature)
@@ -235,8 +228,7 @@ def test_bounded_least_squares_ends_where_an_independent_program_does_and_outsid
 
 def test_steps_that_shrink_at_a_kink_are_seen_through_by_polls() -> None:
     stuck = maximise(kink, np.array([[-0.9, -0.5]]), LOWER, UPPER)
-    # on the ridge every step loses: the optimisation ends far from the top, which is 0 at (0.8, 0.8)
-    assert stuck.expansion.value[0] < -0.5
+    assert stuck.expansion.value[0] < -0.5  # on the ridge every step loses; the top is 0 at (0.8, 0.8)
     u, found, verified = polished(kink, stuck.u[0], stuck.expansion)
     assert found.value[0] > stuck.expansion.value[0] + 0.4
     assert verified == (found.value[0] > -0.05)
@@ -244,7 +236,7 @@ def test_steps_that_shrink_at_a_kink_are_seen_through_by_polls() -> None:
 
 
 def of_number(z: np.ndarray, value: np.ndarray, curvature: np.ndarray, *, depth: float) -> list[int]:
-    """The optimum that each end belongs to, one by one: the first better one within a standard deviation."""
+    """Optimum that each end belongs to, one by one: the first better one within a standard deviation."""
     found = [-1] * len(z)
     for i in np.argsort(-value, kind="stable"):
         if not np.isfinite(value[i]) or value[i] < value.max() - depth:
@@ -268,14 +260,12 @@ def test_ends_that_are_copies_of_a_better_one_have_its_number_in_a_stack_too(see
             assert found[i].tolist() == of_number(z[i], value[i], curvature[i], depth=2.0)
         np.testing.assert_array_equal(found[i], distinct(z[i], value[i], curvature[i], 1.0, depth=2.0))
     assert np.all(found[1] == -1)
-    # an end that is far lower is an optimum of its own
-    near = np.array([[0.0], [0.5]]), np.array([0.0, -3.0]), np.ones((2, 1, 1))
+    near = np.array([[0.0], [0.5]]), np.array([0.0, -3.0]), np.ones((2, 1, 1))  # a far lower end is separate
     assert distinct(*near, 1.0).tolist() == [0, 0]
     assert distinct(*near, 1.0, drop=1.0).tolist() == [0, 1]
 
 
 def optima_of(posterior: Posterior, *known: tuple[float, ...]) -> Optima:
-    """Optima next to draws of the prior, or to known parameters alone."""
     start = posterior.scores.to_z(np.array(known).reshape(-1, posterior.parameters.size))
     return find_optima(posterior, start, log2_draws=0 if known else None, settings=POLISHED)
 
@@ -308,8 +298,7 @@ def test_a_density_less_its_prior_is_the_likelihood_over_scores() -> None:
     np.testing.assert_allclose(left.gradient, likelihood.gradient * slope, rtol=1e-9, atol=1e-9)
     curvature = likelihood.curvature * slope[:, :, None] * slope[:, None, :]
     np.testing.assert_allclose(left.curvature, curvature, rtol=1e-9, atol=1e-9)
-    # without the priors the most likely parameters are left
-    own = plate_posterior(LinearModel(NORMAL), measurement(0.05), np.zeros(4))
+    own = plate_posterior(LinearModel(NORMAL), measurement(0.05), np.zeros(4))  # maximum likelihood
     z = maximised(own, np.zeros((1, 2)), 60, 1e-12, weight=1.0).z[0]
     np.testing.assert_allclose(own.scores.to_x(z), exact_gaussian(measurement(0.05))[0], atol=1e-5)
 
@@ -319,7 +308,7 @@ def test_noise_that_is_inferred_is_near_a_gaussian_in_its_score() -> None:
     slope, f = rng.normal(size=(16, 2), scale=10.0), 100.0 * np.arange(10, 26)
     data = listed(f + rng.normal(size=16) * 0.001 * f, None)
     own = plate_posterior(toy_models.linear(f, slope, PRIORS["uniform"]), data, np.zeros(16))
-    # with k frequencies the next term of the expansion is some 3 / k
+    # with k frequencies the next term of the expansion is about 3 / k
     assert optima_of(own).log_mass[0] == pytest.approx(toy_models.integral_over_noise(own), abs=0.25)
 
 
@@ -347,10 +336,8 @@ def test_an_incomplete_list_has_an_optimum_where_its_complete_part_lies() -> Non
     own = plate_posterior(LinearModel(), gaps, np.zeros(4))
     optima = optima_of(own)
     best = own.scores.to_x(optima.z[0])
-    # the list is met exactly, no other pairing is near, and even priors draw by a thousandth over scores
-    np.testing.assert_allclose(best, [0.4, -0.3], atol=1e-3)
-    # its own Gaussian, in a window of five standard deviations: other pairings have optima of their own
-    sd = np.sqrt(np.diag(gauss_newton_covariance(own, best)))
+    np.testing.assert_allclose(best, [0.4, -0.3], atol=1e-3)  # met exactly; flat priors shift by 1e-3
+    sd = np.sqrt(np.diag(gauss_newton_covariance(own, best)))  # other pairings have their own optima
     edges = tuple(np.linspace(c - 5 * s, c + 5 * s, 201) for c, s in zip(best, sd, strict=True))
     assert optima.log_mass[0] == pytest.approx(integral(own, edges), abs=2e-3)
 
@@ -359,7 +346,7 @@ def test_an_optimum_at_the_edge_of_the_constraints_is_found() -> None:
     own, edge = toy_models.independent((3.0, 7.0)), np.linspace((0.1, 0.7), (0.7, 0.1), 601)
     below = replace(own, model=replace(own.model, allowed=lambda x: x[:, 0] + x[:, 1] < 0.8))
     highest = edge[np.argmax(own.log_density(own.scores.to_z(edge)))]
-    # polls come to 0.01 standard deviations of 0.1, and along the edge the top is flat
+    # polls reach 0.01 standard deviations of 0.1, and along the edge the top is flat
     np.testing.assert_allclose(own.scores.to_x(optima_of(below).z[0]), highest, atol=0.02)
 
 

@@ -22,7 +22,7 @@ ERROR = np.array([1e-3, 2e-3, 1e-3, 3e-3])
 LISTED = measurement(None).frequencies
 OWN = np.array([0.1, 0.2, 0.3, 0.4])
 RMS = np.sqrt(np.mean(LISTED**2))
-# By what the file says of its noise: the list, the scale, its amplitude if it is inferred, and its sd, Hz.
+# By the file's noise statement: the list, the scale, its amplitude if inferred, and its sd, Hz.
 KINDS: dict[str, tuple[Measurement, str, float | None, np.ndarray]] = {
     "stated": (measurement(0.01, 2.0), "relative", None, 0.01 * LISTED),
     "one by one": (replace(measurement(0.01, 2.0), frequency_sd=OWN), "relative", None, OWN),
@@ -42,7 +42,7 @@ def test_log_probability_is_that_of_noise_rounding_solver_and_priors(data, likel
     density = norm.logpdf(LISTED, f, sigma) if np.isinf(nu) else t.logpdf(LISTED, nu, f, sigma)
     expected = density.sum(axis=1) - 2 * np.log(4.0)
     if amplitude is not None:
-        # the prior of an amplitude in Hz is that of the relative one at the root mean square frequency
+        # the prior of an amplitude in Hz is the relative one at the root mean square frequency
         size, name, unit = (RMS, "absolute_sd", "Hz") if likelihood == "absolute" else (1.0, NOISE, "")
         noise = posterior.parameters.parameters[-1]
         assert (noise.name, noise.unit) == (name, unit)
@@ -74,15 +74,14 @@ def test_probabilities_of_missed_modes_and_false_peaks_are_the_files() -> None:
     gaps = replace(data, complete=False, missed_probability=0.3, false_peaks=0.0)
     posterior = plate_posterior(LinearModel(), gaps, np.zeros(4))
     assert (posterior.pairing.missed, posterior.pairing.spurious) == (0.3, 0.0)
-    # no false peaks, every mode in its place: each is there with the probability 0.7
-    x = np.array([[0.3, -0.2]])
+    x = np.array([[0.3, -0.2]])  # no false peaks, every mode in place, each present with p = 0.7
     full = plate_posterior(LinearModel(), data, np.zeros(4)).log_likelihood(x)[0]
     assert posterior.log_likelihood(x)[0] == pytest.approx(full + 4 * np.log(0.7), abs=1e-6)
 
 
 @dataclass(frozen=True)
 class Broken(LinearModel):
-    """A model that gives no number for its second mode where b is above 1."""
+    """A model whose second mode is not finite if b exceeds 1."""
 
     value: float = np.nan
 
@@ -108,7 +107,7 @@ def test_what_is_no_number_is_an_error_with_its_parameters(value: float, complet
 
 @pytest.mark.parametrize("name", ["A1", "D1"])
 def test_every_set_that_is_allowed_has_a_positive_definite_stiffness(name: str) -> None:
-    """Between bounds that are far too wide; by laminate stiffness and compliance of the ply in three axes."""
+    """Between far too wide bounds; laminate stiffness, and compliance of the ply in three dimensions."""
     specimen, wide = read_specimen(name), {"nu12": Uniform(-1.5, 1.5)}
     unknowns = specimen.unknowns.parameters
     parameters = tuple(replace(p, prior=wide.get(p.name, Uniform(1e8, 2e11))) for p in unknowns)
@@ -117,8 +116,7 @@ def test_every_set_that_is_allowed_has_a_positive_definite_stiffness(name: str) 
     inside = problem.admissible(problem.parameters.mapping(x))
     assert 0.02 < inside.mean() < 0.98
     stiffness = problem.state(problem.parameters.mapping(x[inside])).stiffness()
-    # to a diagonal of ones: the entries in SI differ by 1e9
-    scale = np.sqrt(np.einsum("...ii->...i", stiffness))
+    scale = np.sqrt(np.einsum("...ii->...i", stiffness))  # a diagonal of ones: SI entries differ by 1e9
     scaled = stiffness / scale[..., :, None] / scale[..., None, :]
     assert np.linalg.eigvalsh(scaled).min() > 0.0
     # the scaled compliance of a transversely isotropic ply in three dimensions
@@ -150,8 +148,7 @@ def test_replicates_are_drawn_from_the_density_and_an_amplitude_is_suggested_by_
     for nu, edge in ((np.inf, norm.ppf(0.9)), (4.0, t.ppf(0.9, 4))):
         model = noise_model(measurement(0.01), NONE, degrees_of_freedom=nu)
         beyond = np.mean(model.sample(np.random.default_rng(0), (100, 100)) > edge)
-        # four binomial standard errors of 10000 draws
-        assert beyond == pytest.approx(0.1, abs=4 * np.sqrt(0.09 / 10_000))
+        assert beyond == pytest.approx(0.1, abs=4 * np.sqrt(0.09 / 10_000))  # four standard errors
     residuals, data = np.array([1.0, -2.0, 2.0, -1.0]), measurement(None)
     assert noise_model(data, NONE, "absolute").suggested(residuals) == pytest.approx(np.sqrt(2.5))
     relative, expected = noise_model(data, NONE), np.sqrt(np.mean((residuals / LISTED) ** 2))
@@ -162,16 +159,16 @@ def test_replicates_are_drawn_from_the_density_and_an_amplitude_is_suggested_by_
 
 @pytest.mark.slow
 def test_the_reduced_model_changes_no_mean() -> None:
-    """Draws on the reduced model, weighted to the posterior on the full solver."""
+    """Draws on the reduced model, reweighted to the posterior on the full solver."""
     specimen = read_specimen("C1")
     model = reduced_model(specimen, specimen.unknowns, specimen.measurement.size)
-    # a list as repeatable as the best of a laboratory: noise makes errors of a model count less
+    # a list as repeatable as a laboratory's best: with noise, errors of a model matter less
     f = model.full.predict(reference_vector(specimen, specimen.unknowns)).frequencies[0]
     f = f * (1.0 + 0.002 * np.random.default_rng(3).standard_normal(len(f)))
     listed = replace(specimen.measurement, frequencies=f, relative_std=0.002, resolution=0.0)
     error = np.hypot(model.full.error, model.tolerance)
     own = plate_posterior(model, listed, error)
-    # both models are compared on the same draws, so these need not be many
+    # both models are compared on the same draws, so few are enough
     brief = EnsembleSettings(walkers=24, round_steps=400, r_hat=1.1, effective=300.0, lengths=10.0)
     found = sample_posterior(own, 0, settings=brief, swarm_settings=SwarmSettings(20, 60)).draws
     draws = found[np.linspace(0, len(found) - 1, 800).astype(int)]

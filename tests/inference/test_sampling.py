@@ -1,4 +1,4 @@
-"""Ensembles in rounds that are stored, until they agree; evidence by importance sampling."""
+"""Ensembles sampled in stored rounds until they agree; evidence by importance sampling."""
 
 import errno
 from dataclasses import replace
@@ -30,8 +30,7 @@ from tests.toy_models import independent, integral, parameters, two_peaks
 
 SETTINGS = EnsembleSettings(walkers=16, round_steps=100, effective=2000.0, most_steps=6000)
 FOUR_ROUNDS = replace(SETTINGS, effective=1e9, most_steps=400)
-# Of a chain that forgets in a few steps.
-JUMPING = replace(SETTINGS, effective=4000.0)
+JUMPING = replace(SETTINGS, effective=4000.0)  # For a chain that decorrelates within a few steps.
 
 
 def posterior(relative_std: float | None = 0.01) -> Posterior:
@@ -61,13 +60,12 @@ def of_kind(jumps: bool) -> tuple[EnsembleSettings, Proposal | None]:
 
 @cache
 def whole(jumps: bool = False) -> EnsembleResult:
-    """The chains of a kind that no store has seen."""
     return run(None, *of_kind(jumps))
 
 
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, Path]:
-    """A store of each kind of chains, which are the same in an empty store as without one."""
+    """A store of each kind of chains, which are the same with an empty store as without one."""
     places = {jumps: tmp_path_factory.mktemp("store") for jumps in (False, True)}
     for jumps, place in places.items():
         found = run(place, *of_kind(jumps))
@@ -77,7 +75,6 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, Path]:
 
 
 def check_moments(found: EnsembleResult, mean: np.ndarray, covariance: np.ndarray) -> None:
-    """Within four Monte Carlo standard errors at the effective number of samples."""
     sd, error = np.sqrt(np.diag(covariance)), 4.0 / np.sqrt(found.diagnostics.ess_bulk)
     assert found.status == "converged"
     np.testing.assert_array_less(np.abs(found.draws.mean(axis=0) - mean) / sd, error)
@@ -86,7 +83,7 @@ def check_moments(found: EnsembleResult, mean: np.ndarray, covariance: np.ndarra
     np.testing.assert_array_less(np.abs(scaled), 1.5 * error)
 
 
-# Where a proposal is bad, it is off by so many standard deviations, or so many times as wide.
+# Errors of bad proposals: offset in standard deviations, and factor on the width.
 BAD = {"far away": (40.0, 1.0), "off": (4.0, 1.0), "too narrow": (0.0, 0.1), "too wide": (0.0, 30.0)}
 
 
@@ -96,8 +93,7 @@ def test_chains_have_the_closed_form_however_good_a_proposal_is(name: str) -> No
     sd = np.sqrt(np.diag(covariance))
     if name in BAD:
         away, width = BAD[name]
-        # v = logit((x + 2) / 4), so that dv / dx is near 1 about the middle
-        centre, factor = posterior().scores.to_z(mean + away * sd), np.diag(width * sd)
+        centre, factor = posterior().scores.to_z(mean + away * sd), np.diag(width * sd)  # dv / dx is about 1
         proposal = Proposal(posterior().scores, Mixture(np.ones(1), centre[None], factor[None], 5.0))
     else:
         proposal = good_proposal() if name == "good" else None
@@ -105,12 +101,12 @@ def test_chains_have_the_closed_form_however_good_a_proposal_is(name: str) -> No
     check_moments(found, mean, covariance)
     assert found.diagnostics.r_hat <= 1.01
     assert found.solves == found.diagnostics.steps * 2 * 16 + (proposal.solves if proposal else 0)
-    # half the steps jump, and nearly all of these are accepted, or hardly any
+    # half the steps are jumps, nearly all of them accepted, or hardly any
     assert (found.diagnostics.autocorrelation_time < 5.0) == (name == "good")
 
 
 def test_chains_that_only_jump_have_the_noise_that_they_infer() -> None:
-    """Its logarithm is what the proposal draws: a forgotten Jacobian would show."""
+    """The proposal draws its logarithm: a missing Jacobian would show."""
     f, off = np.array([100.0, 200.0, 300.0]), np.array([2.0, -3.0, 3.0])
     model = toy_models.linear(f, np.array([[10.0], [30.0], [-20.0]]), parameters(a=Uniform(-2.0, 2.0)))
     own = plate_posterior(model, toy_models.listed(f + off, None), np.zeros(3))
@@ -129,7 +125,7 @@ def test_chains_that_only_jump_have_the_noise_that_they_infer() -> None:
 
 
 def test_separate_peaks_have_their_weights_though_all_walkers_start_on_the_lesser() -> None:
-    """Fifty nats above the dip between them, one with seven times the mass of the other."""
+    """A dip of fifty nats between them, and one with seven times the mass of the other."""
     own, b = two_peaks(), np.linspace(-2.0, 2.0, 801)
     uneven = parameters(a=TruncatedNormal(0.5, 0.7, -2.0, 2.0), b=Uniform(-2.0, 2.0))
     own = replace(own, model=replace(own.model, parameters=uneven), parameters=uneven)
@@ -156,8 +152,7 @@ def test_chains_with_a_walker_that_never_moves_have_no_time_and_are_not_converge
     stuck = ensemble.diagnose_chains(chain, settings)
     assert not stuck.converged
     assert (stuck.autocorrelation_time, stuck.burn_in, stuck.ess_bulk) == (400, 200, 2 * 200 * 16 / 400)
-    # let go before the latter half, it counts no more
-    chain[1, 200:, 5] = np.random.default_rng(1).standard_normal((200, 3))
+    chain[1, 200:, 5] = np.random.default_rng(1).standard_normal((200, 3))  # released before the second half
     chain[1, :200, 5] = 0.0
     assert ensemble.diagnose_chains(chain, settings).autocorrelation_time < 1.3
 
@@ -177,8 +172,7 @@ def test_a_collapsed_swarm_still_gives_walkers_that_span_the_posterior_and_a_noi
     ratio = found.std(axis=0) / np.sqrt(np.diag(covariance))
     assert np.all((ratio > 0.6) & (ratio < 1.6))
     assert np.linalg.matrix_rank(found - found.mean(axis=0)) == 2
-    # noise that is inferred is started from the residuals
-    own = posterior(None)
+    own = posterior(None)  # inferred noise is started from the residuals
     walkers = start(own).reshape(-1, 3)
     assert np.all(np.isfinite(own.log_prob(walkers)))
     assert 1e-4 < np.median(walkers[:, 2]) < 0.05
@@ -188,8 +182,7 @@ def test_walkers_start_on_both_optima_of_a_swarm_with_duplicates_and_infeasible_
     own = two_peaks()
     own = replace(own, model=replace(own.model, allowed=lambda x: np.abs(x[:, 0]) > 0.5))
     swarm = np.array([*([[1.0, -0.7]] * 30), [0.1, 0.2], [0.0, 0.0], *([[-1.02, 1.3]] * 5)])
-    # the first of the two infeasible particles has the best value of all, the second has none
-    values = np.concatenate((np.full(30, 1.0), [0.0, np.inf], np.full(5, 2.0)))
+    values = np.concatenate((np.full(30, 1.0), [0.0, np.inf], np.full(5, 2.0)))  # two infeasible particles
     found = start_positions(own, swarm, values, 200, np.random.default_rng(0))
     assert np.all(np.isfinite(own.log_prob(found)))
     # equal peaks: a half within four binomial standard errors, whatever the numbers of particles
@@ -200,8 +193,6 @@ def test_walkers_start_on_both_optima_of_a_swarm_with_duplicates_and_infeasible_
 
 
 class CountedDraws(np.random.Generator):
-    """Counts the walkers that are drawn."""
-
     draws = 0
 
     def standard_normal(self, *args: Any, **kwargs: Any) -> Any:
@@ -211,7 +202,7 @@ class CountedDraws(np.random.Generator):
 
 
 def test_walkers_about_an_optimum_in_a_corner_of_the_bounds_are_drawn_once_each() -> None:
-    """Of ten bounds a Gaussian lies inside once in a thousand draws, of a correlated one hardly ever."""
+    """With ten bounds one draw in a thousand of a Gaussian lies inside, of a correlated one hardly any."""
     far = replace(measurement(0.01), frequencies=MEAN_HZ + SLOPE_HZ @ np.array([4.0, -4.0]))
     own, rng = plate_posterior(LinearModel(), far, np.zeros(4)), CountedDraws(np.random.PCG64(0))
     found = start_positions(own, np.array([[2.0, -2.0]]), np.zeros(1), 40, rng)
@@ -236,7 +227,7 @@ def test_walkers_beside_a_constraint_satisfy_it_and_span_what_is_left(width: flo
 
 
 def test_an_interrupted_call_prints_nothing(capfd, monkeypatch) -> None:
-    """emcee prints all parameters of a call that ends in an exception, an interrupt too."""
+    """emcee prints all parameters of a call that ends in an exception, even in an interrupt."""
     own, predict, calls = posterior(), LinearModel.predict, []
     walkers = start(own)
 
@@ -305,8 +296,7 @@ def test_a_damaged_round_is_set_aside_named_once_and_sampled_again_bit_for_bit(
     (said,) = caplog.messages
     assert said.startswith(f"{second} was damaged: it is set aside as round_0001.arrays.damaged")
     assert second.with_name("round_0001.arrays.damaged").read_bytes() == damaged
-    # nor is a round in the place of another taken for it
-    second.write_bytes((store / "round_0000.arrays").read_bytes())
+    second.write_bytes((store / "round_0000.arrays").read_bytes())  # nor a round in place of another
     np.testing.assert_array_equal(run(store).chain, whole().chain)
 
 
@@ -336,13 +326,12 @@ def test_on_a_full_disk_rounds_are_kept_sampling_goes_on_and_it_is_said(tmp_path
     said = "round_0002.arrays: cannot be written (No space left on device); 2 rounds before it are kept"
     assert said in str(found.not_stored)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["round_0000.arrays", "round_0001.arrays"]
-    # with room again the same problem goes on from there
-    monkeypatch.undo()
+    monkeypatch.undo()  # with space again the same problem continues from there
     np.testing.assert_array_equal(run(tmp_path).chain, whole().chain)
 
 
 def autoregressive(time: float, steps: int, seed: int) -> np.ndarray:
-    """x_(k+1) = factor x_k + noise of a hundred walkers, from its stationary density, (steps, 100, 1)."""
+    """x_(k+1) = factor x_k + noise for a hundred walkers, from its stationary density, (steps, 100, 1)."""
     factor, noise = (time - 1.0) / (time + 1.0), np.random.default_rng(seed).standard_normal((steps, 100, 1))
     noise[1:] *= np.sqrt(1.0 - factor**2)
     return lfilter([1.0], [1.0, -factor], noise, axis=0)
@@ -351,8 +340,7 @@ def autoregressive(time: float, steps: int, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("time", [1.0, 3.0, 6.0, 30.0])
 def test_the_time_of_an_autoregressive_chain_is_found(time: float) -> None:
     found = [ensemble.integrated_times(autoregressive(time, int(50 * time), seed))[0] for seed in range(8)]
-    # Sokal's error of one is sqrt(20 tau / draws); the window and the lags' zeros leave some per cent
-    error = np.sqrt(20.0 / (50 * 100 * len(found)))
+    error = np.sqrt(20.0 / (50 * 100 * len(found)))  # Sokal's error of one: sqrt(20 tau / draws)
     assert np.mean(found) == pytest.approx(time, rel=4.0 * error + 0.06)
 
 
@@ -370,7 +358,7 @@ def sampled(own: Posterior, rounds: Rounds = FEWER) -> sampling.Evidence:
 
 
 def agrees(found: sampling.Evidence, expected: float, near: float = 0.0) -> None:
-    """Within four standard errors, and these are small."""
+    """Check an evidence within four standard errors, which must be small."""
     assert found.status == "reliable"
     assert found.k_hat < 0.7
     assert found.standard_error < 0.05
@@ -379,7 +367,7 @@ def agrees(found: sampling.Evidence, expected: float, near: float = 0.0) -> None
 
 @pytest.mark.parametrize("off", [-1.0, -5.0, -20.0])
 def test_evidence_and_moments_of_a_gaussian_cut_at_a_bound_are_the_closed_form(off: float) -> None:
-    """The optimum sits on a bound, up to 20 standard deviations from where it would lie without."""
+    """The optimum lies on a bound, up to 20 standard deviations from where it would lie without."""
     own = independent((off, 5.0))
     exact = norm.logsf(-off) + np.log(norm.cdf(5) - norm.cdf(-5)) + 2 * np.log(0.1)
     agrees(sampled(own), exact)
@@ -390,8 +378,7 @@ def test_evidence_and_moments_of_a_gaussian_cut_at_a_bound_are_the_closed_form(o
     mean, sd = 0.1 * (ratio + off), 0.1 * np.sqrt(1.0 - off * ratio - ratio**2)
     near = 4.0 / np.sqrt(effective)
     assert weight @ x == pytest.approx(mean, abs=near * sd)
-    # the sd of an sd is below one over the root of the number of draws, that of an exponential twice that
-    own_sd = np.sqrt(weight @ (x - weight @ x) ** 2)
+    own_sd = np.sqrt(weight @ (x - weight @ x) ** 2)  # twice the error for an exponential
     assert own_sd == pytest.approx(sd, abs=(1.0 if off == -1.0 else 2.0) * near * sd)
     assert np.all((x >= 0.0) & (x <= 1.0))
 
@@ -400,7 +387,7 @@ WIDE = np.linspace(-2.0, 2.0, 801)
 
 
 def known(case: str) -> tuple[Posterior, float, float]:
-    """A posterior, its log evidence, and how near a quadrature comes to that."""
+    """A posterior, its log evidence, and the accuracy of a quadrature for that."""
     if case == "Student-t noise":  # and a normal prior without bounds
         model = LinearModel(parameters(a=Uniform(-2.0, 2.0), b=TruncatedNormal(-0.2, 0.1, -np.inf, np.inf)))
         own = plate_posterior(model, measurement(0.02), np.zeros(4), degrees_of_freedom=4.0)
@@ -409,16 +396,14 @@ def known(case: str) -> tuple[Posterior, float, float]:
         kept = measurement(None).frequencies[[0, 1, 3]]
         gaps = Measurement(kept, 0.0, 0.01, None, ("",) * 3, complete=False)
         own = plate_posterior(LinearModel(), gaps, np.zeros(4))
-        # the density jumps where a mode leaves the list's range: the grid's step over the peaks' width
-        return own, integral(own, (WIDE, WIDE)), 0.01
+        return own, integral(own, (WIDE, WIDE)), 0.01  # it jumps where a mode leaves the list's range
     if case == "crossing modes":
         own = toy_models.crossing()
         return own, integral(own, (np.linspace(-1.0, 1.0, 1001),) * 2), 5e-3
     if case == "inferred noise":
         own = plate_posterior(LinearModel(), measurement(None), np.zeros(4))
-        # noise below 1e-4, left out by the quadrature, has a chance below 1e-6; its steps leave 1e-3
-        return own, toy_models.integral_over_noise(own), 2e-3
-    own = independent((5.0, 5.0))  # constraints cut without being normalised again
+        return own, toy_models.integral_over_noise(own), 2e-3  # steps leave 1e-3; noise below 1e-4 is omitted
+    own = independent((5.0, 5.0))  # truncated by constraints without being normalised again
     half = replace(own, model=replace(own.model, allowed=lambda x: x[:, 0] > x[:, 1]))
     return half, 2 * np.log(0.1 * (norm.cdf(5) - norm.cdf(-5))) + np.log(0.5), 0.0
 
@@ -432,13 +417,12 @@ def test_evidence_is_that_of_a_quadrature(case: str) -> None:
 
 
 def test_errors_of_a_dozen_posteriors_are_no_larger_than_they_say() -> None:
-    """Gaussians cut at a bound, their evidences in closed form."""
+    """Gaussians truncated at a bound, with evidences in closed form."""
     rounds, off = Rounds(log2_points=7, most=4), np.linspace(-2.0, 1.0, 12)
     found = [sampled(independent((o, 5.0)), rounds) for o in off]
     exact = norm.logsf(-off) + np.log(norm.cdf(5) - norm.cdf(-5)) + 2 * np.log(0.1)
     z = (np.array([f.log_evidence for f in found]) - exact) / [f.standard_error for f in found]
-    # points of a Sobol sequence err less than independent ones, whose errors are stated
-    assert np.sqrt(np.mean(z**2)) < 1.5
+    assert np.sqrt(np.mean(z**2)) < 1.5  # stated for independent points, not Sobol's
     assert np.abs(z).max() < 4.0
 
 
@@ -449,8 +433,7 @@ def test_evidence_of_chains_counts_both_peaks_also_where_they_miss_one(monkeypat
     expected = integral(own, (WIDE, WIDE))
     for chain in (result.chain, right):
         agrees(sampling.evidence_of(own, replace(result, chain=chain)), expected, near=1e-3)
-    # every peak that chains hold counts without draws of the prior
-    monkeypatch.setattr(sampling, "POLISHED", replace(sampling.POLISHED, log2_draws=0))
+    monkeypatch.setattr(sampling, "POLISHED", replace(sampling.POLISHED, log2_draws=0))  # no prior draws
     chain = np.tile([[1.0, -0.7], [-1.0, 1.3]], (1, 10, EnsembleSettings().walkers // 2, 1))
     held: Any = SimpleNamespace(draws=chain.reshape(-1, 2), log_prob=np.zeros(chain.shape[:3]))
     agrees(sampling.evidence_of(own, held), expected, near=1e-3)
@@ -463,7 +446,7 @@ def test_an_evidence_on_a_narrow_basis_is_that_on_the_whole_one_once_draws_are_r
     found, expected = sampled(narrow), sampled(whole)
     assert abs(found.log_evidence - expected.log_evidence) > 0.1
     weighed = sampling.reweighted(found, whole, narrow, chains, 0)
-    # of a thousand draws whose weights scatter by a few per cent
+    # a thousand draws whose weights scatter by a few per cent
     assert weighed.log_evidence == pytest.approx(expected.log_evidence, abs=0.02)
     assert 0.8 < weighed.exact_fraction < 0.999
     assert found.standard_error < weighed.standard_error < 0.02

@@ -34,7 +34,7 @@ def rosenbrock(x: np.ndarray) -> np.ndarray:
 
 
 class Draws:
-    """Stands in for a generator: gives prepared draws in their order."""
+    """Substitute for a generator that returns prepared draws in order."""
 
     def __init__(self, *draws: np.ndarray) -> None:
         self.draws = list(draws)
@@ -58,8 +58,7 @@ def test_an_optimum_on_a_bound_is_reached_exactly_and_one_beside_it_is_not_taken
     assert result.status == "converged"
     assert_array_equal(result.best[[0, 2]], [1.0, 0.0])
     assert_allclose(result.best[1], 0.4, atol=1e-3)
-    # Stopping particles on the bound, without a bounce, fails here for some seeds.
-    optimum = np.array([0.999, 0.4, 0.001, 0.4, 0.4])
+    optimum = np.array([0.999, 0.4, 0.001, 0.4, 0.4])  # without the bounce some seeds fail here
     result = search(lambda x: np.sum((x - optimum) ** 2, axis=1), [0.0] * 5, [1.0] * 5, seed=seed)
     assert_allclose(result.best, optimum, atol=1e-4)
 
@@ -70,8 +69,7 @@ def test_the_end_of_rosenbrocks_valley_is_found_by_a_seed_bit_for_bit_and_on_any
         first, again = (search(rosenbrock, [-2.0, -2.0], [2.0, 2.0], seed=seed) for _ in range(2))
         scaled = search(lambda x: rosenbrock(x / scale), -2.0 * scale, 2.0 * scale, seed=seed)
         assert first.status == "converged"
-        # a converged swarm agrees to spread_tolerance = 1e-3 of the box
-        assert_allclose(first.best, 1.0, atol=4e-3)
+        assert_allclose(first.best, 1.0, atol=4e-3)  # particles agree to spread_tolerance = 1e-3
         assert_array_equal(first.personal_bests, again.personal_bests)
         assert_array_equal(first.history, again.history)
         assert_array_equal(scaled.best, first.best * scale)
@@ -118,9 +116,8 @@ def test_infeasible_particles_are_never_evaluated_and_values_that_are_not_finite
     assert result.evaluations == sum(calls)
     assert len(calls) <= result.iterations + 1
     assert result.evaluations < 40 * (result.iterations + 1)
-    # The constrained minimum of x^2 + y^2 is 1/2, in the middle of the line x + y = 1.
-    assert_allclose(result.value, 0.5, atol=1e-3)
-    # values that are not finite are penalised
+    assert_allclose(result.value, 0.5, atol=1e-3)  # the minimum of x^2 + y^2 on x + y = 1
+    # non-finite values are penalised
     result = search(lambda x: np.where(x > 0.5, np.nan, np.where(x < 0.2, -np.inf, x))[:, 0], [0.0], [1.0])
     assert 0.2 <= result.value < 0.2001
     assert result.evaluations == 40 * (result.iterations + 1)
@@ -148,7 +145,7 @@ def test_initial_swarm_spreads_as_section_5_1_says_beside_a_known_modulus_too() 
     # Each of these is uniform in [0, 1]: mean 1/2 within five standard errors.
     for u in ((E2 - 5e9) / 35e9, (E1 - lower) / (200e9 - lower), (nu12 - 0.15) / 0.25, (G12 - 5e9) / 25e9):
         assert abs(u.mean() - 0.5) < 5.0 / np.sqrt(12.0 * n)
-    # it keeps to a known modulus and is refused where that leaves no room
+    # it respects a known modulus and is refused if that leaves no room
     E1 = initial_swarm(unknowns("E1 nu12", E2=38e9), "transversely_isotropic", 300, rng)[:, 0]
     assert E1.min() >= 38e9
     E2 = initial_swarm(unknowns("nu12 E2", E1=12e9), "transversely_isotropic", 300, rng)[:, 1]
@@ -175,7 +172,7 @@ LOWER, UPPER = np.array([-1.0, -1.0]), np.array([1.0, 1.0])
 
 
 def valley(constants: np.ndarray, sequences: np.ndarray) -> np.ndarray:
-    """A minimum of 0 at CENTRE and TRUTH; angles are periodic, as directions are."""
+    """A minimum of 0 at CENTRE and TRUTH; periodic in the angles."""
     away = np.sin(np.pi * (sequences - TRUTH) / N_ANGLES) ** 2
     return np.sum((constants - CENTRE) ** 2, axis=1) + away @ np.array([3.0, 2.0, 1.0])
 
@@ -210,8 +207,7 @@ def test_one_step_is_eq_5_for_angles_and_eq_1_and_2_for_constants() -> None:
     assert_allclose(after.drifts, expected)
     raw = state.memberships + np.array(expected)
     assert_allclose(after.memberships, raw / raw.sum(axis=-1, keepdims=True))
-    # the second particle now decodes to angle 1 as before, with a constant nearer to 0: a better best
-    assert_allclose(after.personal_values, [0.01, 1.0 + 0.275**2])
+    assert_allclose(after.personal_values, [0.01, 1.0 + 0.275**2])  # same angles, a constant nearer to 0
     assert_allclose(after.personal_bests[0], state.personal_bests[0])
     assert_allclose(after.best_memberships[1], after.memberships[1])
     assert (after.evaluations, after.history) == (4, (0.01, 0.01))
@@ -224,12 +220,10 @@ def test_most_swarms_find_a_sequence_on_a_coarse_grid_and_its_constants() -> Non
         result = swarm.minimise_problem(PROBLEM, start, settings, rng)
         if np.array_equal(result.sequence, TRUTH):
             found.append(result)
-    # 18 of 20 other seeds did: 6 of 10 or fewer has a probability of 1 %
-    assert len(found) >= 7
+    assert len(found) >= 7  # 18 of 20 other seeds did: 6 of 10 or fewer has a probability of 1 %
     for result in found:
         assert result.status == "converged"
-        # nine in ten particles agree to spread_tolerance = 1e-3 of the bounds
-        assert_allclose(result.best, CENTRE, atol=2e-3)
+        assert_allclose(result.best, CENTRE, atol=2e-3)  # nine in ten agree to 1e-3 of the bounds
 
 
 def test_agreement_on_constants_alone_is_not_convergence() -> None:

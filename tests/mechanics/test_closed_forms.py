@@ -1,4 +1,4 @@
-"""The forward solver against closed forms, published values, and what must hold of any plate."""
+"""The forward solver against closed forms, published values, and properties of any plate."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,6 @@ TABLE_1 = {
 
 
 def navier_of(problem: Problem, n_modes: int) -> np.ndarray:
-    """Frequencies of a simply supported cross-ply plate of one material."""
     state = problem.nominal
     h = float(state.thickness)
     mass = float(state.density) * h * np.diag([1, 1, 1, h * h / 12, h * h / 12])
@@ -50,9 +49,9 @@ def test_simply_supported_plate_matches_navier(layup: tuple[float, ...], thin: f
 
 @pytest.mark.parametrize("edges", LEISSA)
 def test_isotropic_square_tends_linearly_in_h_to_leissa(edges: str) -> None:
-    # The twisting layer of a free edge makes the Mindlin frequencies approach Kirchhoff's linearly
-    # in h / a. Leissa (1973) prints upper bounds of 5 digits from a Ritz basis of 36 terms, which
-    # are up to 0.15 % high for the cantilever; the free square's are converged to the last digit.
+    # The twisting layer of a free edge makes the Mindlin frequencies approach Kirchhoff's linearly in h / a.
+    # Leissa (1973) prints upper bounds of 5 digits from a Ritz basis of 36 terms, up to 0.15 % high for the
+    # cantilever; the free square's are converged to the last digit.
     def parameter(h: float) -> np.ndarray:
         problem = plate(1.0, 1.0, h, 1000.0, {"E1": 70e9, "nu12": 0.3}, (0.0,), edges)
         d = problem.nominal.stiffness()[3, 3]
@@ -82,8 +81,7 @@ def test_a_mass_is_a_rank_one_change_for_each_direction_of_motion(place: tuple[f
         solve(discretise_at(problem, space, {}), np.eye(1), np.eye(1), n).frequencies[0]
         for problem in (add_known_mass(bare, mass, *place), bare)
     )
-    # rigid-body motions carry 1e-16 of the largest eigenvalue, 1e-8 of the first
-    np.testing.assert_allclose(found, expected, rtol=1e-7)
+    np.testing.assert_allclose(found, expected, rtol=1e-7)  # rounding: 1e-8 of the first eigenvalue
     assert np.min(expected / without) < 0.999, "the mass is felt"
 
 
@@ -91,10 +89,7 @@ def test_aluminium_plate_of_table_1_lies_within_the_published_solutions() -> Non
     model = converged_model(read_specimen("D&G"), NO_PARAMETERS, 6)
     found = model.predict(np.empty((1, 0))).frequencies[0]
     solutions = np.array(list(TABLE_1.values()))
-    # printed to 0.1 Hz: half of it belongs to either end of the spread
-    assert np.all(found > solutions.min(axis=0) - 0.05)
+    assert np.all(found > solutions.min(axis=0) - 0.05)  # printed to 0.1 Hz: half of it at either end
     assert np.all(found < solutions.max(axis=0) + 0.05)
-    # the three lie 1.4 to 3 % apart; the solver that the paper relies on is within 1 %
-    np.testing.assert_allclose(found, TABLE_1["ABAQUS"], rtol=0.01)
-    # the pair of a square plate is one frequency, to the error of the basis
-    assert found[4] / found[3] - 1 < model.error[3] + model.error[4]
+    np.testing.assert_allclose(found, TABLE_1["ABAQUS"], rtol=0.01)  # the paper's own solver
+    assert found[4] / found[3] - 1 < model.error[3] + model.error[4]  # the pair has one frequency

@@ -1,4 +1,4 @@
-"""The error that is printed beside a frequency: true, and not uselessly large."""
+"""The error that is printed beside a frequency: true, and not too pessimistic."""
 
 from functools import cache
 
@@ -17,10 +17,9 @@ from cpam_bayes.plate import read_plate, read_specimen
 from tests.plate_file import SHEET, SHEET_SD, described
 from tests.plates import ANGLE_PLY_16S, CARBON, CROSS_PLY_16S, GLASS, plate
 
-# The least that an estimate is asked to tell: frequencies are printed with five or six digits.
+# Smallest error that an estimate must resolve: frequencies are printed with five or six digits.
 DIGITS = 1e-6
-# A plate, its number of modes and the error that is promised for it.
-CASES: dict[str, tuple[Problem, int, float]] = {
+CASES: dict[str, tuple[Problem, int, float]] = {  # A plate, its number of modes and its promised error.
     "C1": (plate(0.26, 0.26, 0.0032, 1590.0, CARBON, CROSS_PLY_16S), 6, 2e-4),
     "D1": (plate(0.101, 0.053, 0.0035, 1550.0, CARBON | {"G23": 3.0e9}, (0.0,) * 20), 10, 5e-4),
     "A2": (plate(0.25, 0.28, 0.003, 2700.0, {"E1": 69e9, "nu12": 0.33}, (0.0,), "CFFF"), 6, 2e-4),
@@ -29,14 +28,13 @@ CASES: dict[str, tuple[Problem, int, float]] = {
     "clamped": (plate(0.3, 0.2, 0.003, 1590.0, CARBON, CROSS_PLY_16S, "CCCC"), 6, 2e-4),
 }
 C1, D1 = CASES["C1"][0], CASES["D1"][0]
-# Two bases of an independent program agree to 2e-6 (shear factor 5/6).
-CONVERGED_HZ = {
+CONVERGED_HZ = {  # Two bases of an independent program agree to 2e-6 (shear factor 5/6).
     "C1": [100.366, 298.584, 324.574, 360.347, 381.139, 600.611],
     "A2": [40.9165, 90.673, 240.069, 276.238, 340.704, 566.456],
     "D1": [1351.155, 3015.301, 3150.239, 4044.149, 4055.798, 6775.498, 8143.114, 8273.099,
            8849.348, 9154.067],
 }  # fmt: skip
-# [30/-45/90] from two bases that carry exponentials in u and v also: they agree to 1e-7
+# [30/-45/90] from two bases with exponentials in u and v too: they agree to 1e-7
 UNSYMMETRIC_HZ = [105.867349, 135.576120, 262.894270, 333.431377, 356.497744, 438.422519]
 
 
@@ -52,7 +50,7 @@ def frequencies(found: convergence.ConvergedOperator, n_modes: int) -> np.ndarra
 
 
 def richer(problem: Problem, n_modes: int, samples: Values | None = None, degree: int = 18) -> np.ndarray:
-    """Frequencies of a space far beyond any that is chosen, with three exponentials at each edge."""
+    """Frequencies of a space far richer than any that is chosen, with three exponentials at each edge."""
     settings = RitzSettings(degree, degree, 3, True, 3 if "C" in problem.edges else 0)
     operator = discretise_at(problem, ritz_space(problem.edges, problem.nominal, settings), samples or {})
     eye = np.eye(len(operator.blocks[0].stiffness.active))
@@ -64,8 +62,7 @@ def test_the_error_is_below_an_estimate_that_keeps_its_promise_and_never_below_z
     problem, n_modes, promised = CASES[name]
     true = frequencies(converged(name), n_modes) / richer(problem, n_modes)[0] - 1.0
     estimate = converged(name).error
-    # a Ritz space inside a larger one; rounding is 1e-16 of the range of K, up to 1e-7 of a frequency
-    assert np.all(true > -1e-7)
+    assert np.all(true > -1e-7)  # a Ritz space within a larger one; rounding is up to 1e-7 of a frequency
     assert np.all(true <= estimate + DIGITS)
     assert np.all(estimate <= np.maximum(20.0 * true, 2e-4)), "uselessly large"
     assert max(true.max(), estimate.max()) < promised
@@ -73,8 +70,7 @@ def test_the_error_is_below_an_estimate_that_keeps_its_promise_and_never_below_z
 
 @pytest.mark.parametrize("name", CONVERGED_HZ)
 def test_estimate_holds_against_an_independent_program(name: str) -> None:
-    # the references are printed with six digits, of which the last is worth up to 5e-6
-    found = frequencies(converged(name), CASES[name][1])
+    found = frequencies(converged(name), CASES[name][1])  # references of six digits: up to 5e-6
     assert np.all(np.abs(found / CONVERGED_HZ[name] - 1.0) <= converged(name).error + 5e-6)
 
 
@@ -87,8 +83,7 @@ def test_estimate_holds_for_a_thin_unsymmetric_plate() -> None:
 def test_tolerance_is_kept_and_no_better_than_needed(kept: float) -> None:
     found = converge(C1, {}, 6, Tolerance(kept=kept, rich=kept / 4))
     error = frequencies(found, 6) / richer(C1, 6)[0] - 1.0
-    # the rich space itself may lack a quarter in x, in y and in the exponentials
-    assert np.max(error) < 1.75 * kept
+    assert np.max(error) < 1.75 * kept  # the rich space may lack a quarter in x, y and exponentials
     assert np.max(error) > kept / 50, "a far smaller space would have done"
     assert np.all(error <= found.error + DIGITS)
     usual = converged("C1").keep.sum()
@@ -130,8 +125,7 @@ def test_a_model_keeps_its_estimate_about_the_reference_constants_and_its_allowa
     near = reference * (1 + 0.3 * np.random.default_rng(4).uniform(-1, 1, (6, len(names))))
     found = error(near[model.admissible(near)])
     assert np.max(found) < 2e-4
-    # the estimate is the largest over three neighbours, not over all
-    assert np.all(found < 1.5 * model.error + DIGITS)
+    assert np.all(found < 1.5 * model.error + DIGITS)  # the largest over three neighbours, not all
     far = convergence_samples(specimen, problem)
     assert set(far.allowance) == {1.0, 20.0}
     assert np.all(error(far.x).max(axis=1) <= far.allowance * (THIN.kept + THIN.rich))
@@ -149,14 +143,12 @@ def test_no_sample_is_left_behind_when_the_hardest_one_is_converged(name: str, n
     exact = convergence.rich_frequencies(problem, values, n_modes, tolerance)
     own = solve(found.operator, *found.operator.coefficients(values), n_modes).frequencies
     error = (own / exact.frequencies - 1.0).max(axis=1)
-    # what it is compared with here is a little richer than what it was converged against
-    assert np.all(error <= 1.1 * samples.allowance * tolerance.kept)
+    assert np.all(error <= 1.1 * samples.allowance * tolerance.kept)  # against a richer reference
 
 
 def test_discretisation_error_far_from_the_centre_is_near_the_true_one_and_bounds_it() -> None:
     model = c1()
-    # all moduli but E1 at their lower bounds: slow to converge
-    high = np.array([name in ("E1", "nu12") for name in model.parameters.names])
+    high = np.array([name in ("E1", "nu12") for name in model.parameters.names])  # slow to converge
     x = np.where(high, model.parameters.upper, model.parameters.lower)
     estimate = plate_model.discretisation_error(model, x)
     exact = richer(model.operator.problem, 6, model.parameters.mapping(x[None]))
@@ -174,7 +166,7 @@ def test_convergence_is_the_same_on_every_run() -> None:
 
 
 def test_rounding_of_a_very_thin_plate_is_no_slip_of_its_thickness() -> None:
-    """A coarser space may not tell its rigid-body motions from bending: it is not taken."""
+    """A coarser space that cannot tell its rigid-body motions from bending is not used."""
     material = {**SHEET, "sd": SHEET_SD}
     unknowns = {"E1_GPa": [30, 200], "E2_GPa": [3, 20], "nu12": [0.1, 0.49], "G12_GPa": [1.5, 10]}
     unknowns["angle_grid_deg"] = 90

@@ -29,9 +29,9 @@ FREE = {
     "unsymmetric": plate(0.2, 0.15, 0.003, 1600.0, CARBON, (45.0, -45.0)),
     "very-thin": plate(0.3, 0.2, 0.0003, 1600.0, CARBON, (30.0, 0.0)),
 }
-# NAFEMS, Selected Benchmarks for Natural Frequency Analysis (R0015), FV15 and FV22: clamped rhombic
-# plates, 10 m sides at 45 degrees. The printed values are series of Kirchhoff's and Mindlin's
-# theory truncated early; 0.5 and 1 % is how far converged ones are from them.
+# NAFEMS, Selected Benchmarks for Natural Frequency Analysis (R0015), FV15 and FV22: clamped rhombic plates,
+# 10 m sides at 45 degrees. The printed values are early truncated series of Kirchhoff's and Mindlin's theory;
+# converged ones differ by 0.5 and 1 %.
 RHOMBIC = {
     "FV15": (0.05, [7.938, 12.835, 17.941, 19.133, 24.009, 27.922], 0.015),
     "FV22": (1.0, [133.95, 201.41, 265.81, 283.68, 334.45], 0.012),
@@ -39,7 +39,6 @@ RHOMBIC = {
 
 
 def even(problem: Problem, n: int) -> FemSpace:
-    """n x n equal elements."""
     return fem_space(problem.edges, problem.nominal, n, n, grading=None)
 
 
@@ -59,7 +58,6 @@ def ritz_frequencies(problem: Problem, n_modes: int, degree: int = 12) -> np.nda
 
 
 def from_mesh(problem: Problem, quads: Quads, folder: Path) -> FemSpace:
-    """The space of a mesh in millimetres."""
     return fem_space_from_mesh(quads.write(folder / "plate.msh"), problem.edges, problem.nominal)
 
 
@@ -75,8 +73,7 @@ def test_frequency_error_falls_with_the_fourth_power_of_the_element_size() -> No
 
 @pytest.mark.parametrize("thickness", [0.1, 0.01, 0.001])
 def test_default_mesh_stays_accurate_as_the_plate_gets_thin(thickness: float) -> None:
-    # reduced integration removes most of the shear locking; what is left grows like (h / a)^-2
-    # and falls with a high power of the element size: 3e-5 at h / a = 1/1000
+    # the remaining locking falls with a high power of the element size: 3e-5 at h / a = 1/1000
     problem = plate(1.0, 1.0, thickness, 1000.0, ALUMINIUM, (0.0,), "SSSS")
     np.testing.assert_allclose(fem_frequencies(problem, 6), navier_of(problem, 6), rtol=1e-4)
 
@@ -88,7 +85,6 @@ def curved(folder: Path, problem: Problem, nodes: int) -> FemSpace:
 
 
 def strains(c: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """The eight generalised strains of linear fields, (8, n)."""
     (_, ux, uy), (_, vx, vy), (_, wx, wy), px, py = c
     phi_x, phi_y = px[0] + px[1] * x + px[2] * y, py[0] + py[1] * x + py[2] * y
     constant = [ux, vy, uy + vx, px[1], py[2], px[2] + py[1]]
@@ -97,8 +93,7 @@ def strains(c: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("nodes", [4, 8, 9])
 def test_patch_of_linear_fields_has_its_exact_energy_and_mass(tmp_path: Path, nodes: int) -> None:
-    # shear from rotations varies: where cells are curved it is of too high a degree for the rule: left out
-    shear = FIVE_SIXTHS if nodes == 4 else ShearModel(1e-10)
+    shear = FIVE_SIXTHS if nodes == 4 else ShearModel(1e-10)  # curved cells: no shear, too high a degree
     problem = plate(0.2, 0.15, 0.01, 1600.0, CARBON, (30.0, -75.0, 10.0), shear=shear)
     space = curved(tmp_path, problem, nodes)
     (block,) = discretise_sparse(problem, space, {}).blocks
@@ -107,8 +102,7 @@ def test_patch_of_linear_fields_has_its_exact_energy_and_mass(tmp_path: Path, no
     x, y = (a.ravel() for a in np.meshgrid(0.1 * (1 + g), 0.075 * (1 + g)))
     weight = (np.outer(w, w) * 0.1 * 0.075).ravel()
     at = space.basis.doflocs * np.array(space.size)[:, None]
-    # fields c0 + c1 x + c2 y, in metres
-    for c in np.random.default_rng(1).standard_normal((5, 5, 3)):
+    for c in np.random.default_rng(1).standard_normal((5, 5, 3)):  # fields c0 + c1 x + c2 y, in metres
         e, v = strains(c, x, y), np.concatenate([a + b * at[0] + d * at[1] for a, b, d in c])[block.index]
         exact = np.einsum("in,ij,jn,n->", e, problem.nominal.stiffness(), e, weight)
         assert v @ (k @ v) == pytest.approx(exact, rel=1e-11)
@@ -125,15 +119,12 @@ def test_free_plate_has_six_rigid_motions_and_no_hourglass(name: str, n: int) ->
     problem = FREE[name]
     found = spectrum(problem, even(problem, n), 3)
     assert np.abs(found.rigid).max() < 1e-8 * found.eigenvalues[0, 0]
-    # a mechanism that costs a little energy would show as a mode below the true ones
-    assert found.frequencies[0, 0] > 0.999 * fem_frequencies(problem, 1, 10, 10)[0]
-    # one element alone has one
-    with pytest.raises(RigidBodyError, match="leave 6 rigid-body motions"):
+    assert found.frequencies[0, 0] > 0.999 * fem_frequencies(problem, 1, 10, 10)[0]  # no soft mechanism
+    with pytest.raises(RigidBodyError, match="leave 6 rigid-body motions"):  # a single element has one
         spectrum(problem, even(problem, 1), 3)
 
 
-# A plate, and how many modes.
-AGREEING = {
+AGREEING = {  # A plate, and its number of modes.
     "C1": (FREE["C1"], 6),
     "A2": (plate(0.25, 0.28, 0.003, 2700.0, {"E1": 69e9, "nu12": 0.33}, (0.0,), "CFFF"), 6),
     "D1": (plate(0.101, 0.053, 0.0035, 1550.0, CARBON | {"G23": 3.0e9}, (0.0,)), 10),
@@ -145,7 +136,7 @@ AGREEING = {
 for _name, _layup in (("cross", (0.0, 90.0)), ("angle", (45.0, -45.0))):
     for _edges in ("FFFF", "CFFF", "SSSS", "CSFC"):
         AGREEING[f"{_name}-{_edges}"] = plate(0.2, 0.15, 0.004, 1600.0, CARBON, _layup, _edges), 10
-# Every pair of opposite edges along x beside two of those along y; reflections of a plate are left out.
+# Every pair of opposite edges along x with two of those along y; reflected plates are left out.
 _PAIRS = list(combinations_with_replacement("FSC", 2))
 for _i, _j in product(range(6), (1, 4)):
     _edges = "".join(chain(*zip(_PAIRS[_i], _PAIRS[(_i + _j) % 6], strict=True)))
@@ -161,7 +152,6 @@ def test_finite_elements_agree_with_ritz(name: str) -> None:
 
 
 def shifts(problem: Problem, bare: Problem, n_modes: int) -> list[np.ndarray]:
-    """Of the frequencies of a bare plate on finite elements, and with Ritz."""
     return [of(problem, n_modes) / of(bare, n_modes) - 1.0 for of in (fem_frequencies, ritz_frequencies)]
 
 
@@ -169,8 +159,7 @@ def test_a_point_mass_has_the_effect_that_it_has_with_ritz() -> None:
     bare = plate(0.2, 0.15, 0.004, 1600.0, GLASS, (0.0, 90.0, 90.0, 0.0))
     shift, expected = shifts(add_known_mass(bare, 0.004, 0.19, 0.14), bare, 5)
     assert shift.min() < -0.01
-    # rotary inertia at a point excites the layer there, which the bases resolve differently
-    np.testing.assert_allclose(shift, expected, atol=5e-5)
+    np.testing.assert_allclose(shift, expected, atol=5e-5)  # rotary inertia excites a layer at the point
 
 
 @pytest.mark.parametrize("edge", EDGES)
@@ -195,7 +184,7 @@ def test_functions_are_found_at_any_point_and_are_zero_off_the_plate(tmp_path: P
     for derivative, expected in (("", 1 + 2 * points[:, 0] - points[:, 1]), ("x", 2.0), ("y", -1.0)):
         found = space.evaluate("v", rule, derivative) @ (1 + 2 * x - y)
         np.testing.assert_allclose(found, np.where(on, expected, 0.0), atol=1e-11)
-        # the rule of the area knows its cells, a search finds them
+        # the area's rule knows its cells, the other searches for them
         known, sought = (space.evaluate("w", rule, derivative) for rule in (area, searched))
         assert abs(known - sought).max() < 1e-9
 
@@ -250,7 +239,6 @@ def test_an_oblique_edge_has_its_own_length_and_no_simple_support(tmp_path: Path
 
 
 def dense_matrix(problem: Problem, space: FemSpace, values: Values, kind: str) -> np.ndarray:
-    """The matrix of all forms by B_left^T W B_right, with nothing left out."""
     starts = np.cumsum([0, *(space.dimension(f) for f in FIELDS)])
     place = {f: slice(a, b) for f, a, b in zip(FIELDS, starts[:-1], starts[1:], strict=True)}
     matrix = np.zeros((starts[-1], starts[-1]))
@@ -291,7 +279,7 @@ def test_symmetric_laminates_split_and_forms_that_only_some_samples_need_are_kep
         return replace(problem.nominal, layup=layup, symmetric=False)
 
     choosing = replace(problem, state=state)
-    n = 40  # nodes of 3 x 3 elements of 8 nodes
+    n = 40  # 3 x 3 elements of 8 nodes
     for which, expected in (([0, 0], [2 * n, 3 * n]), ([0, 1], [5 * n])):
         found = discretise_sparse(choosing, even(problem, 3), {"which": np.array(which)})
         assert [b.size for b in found.blocks] == expected
@@ -311,7 +299,7 @@ def test_a_block_as_small_as_what_is_asked_of_it_is_solved() -> None:
 
 
 def count_below(block: SparseBlock, stiffness: np.ndarray, mass: np.ndarray, value: float) -> int:
-    """Eigenvalues below a value, as many as K - value M has negative pivots (Sylvester)."""
+    """Number of eigenvalues below a value, that of negative pivots of K - value M (Sylvester)."""
     matrix = block.stiffness.assemble(stiffness) - value * block.mass.assemble(mass)
     symmetric = {"diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
     factor = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", **symmetric)
@@ -322,8 +310,7 @@ def count_below(block: SparseBlock, stiffness: np.ndarray, mass: np.ndarray, val
 @pytest.mark.parametrize("edges", ["FFFF", "SSSS", "CCCC"])
 @pytest.mark.parametrize("thickness", [0.002, 0.05])
 def test_no_mode_of_a_square_plate_is_missed(edges: str, thickness: float) -> None:
-    # isotropic squares have equal pairs, of which Lanczos may find one; (1,7), (7,1) and (5,5) of
-    # the simply supported one are three
+    # isotropic squares have equal pairs, of which Lanczos may find one, and the triple (1,7), (7,1), (5,5)
     problem = plate(0.2, 0.2, thickness, 1000.0, ALUMINIUM, (0.0,), edges)
     operator = discretise_sparse(problem, even(problem, 10), {})
     k, m = operator.coefficients({})
@@ -350,8 +337,7 @@ def test_solving_twice_gives_the_same_bits_and_leaves_the_operator_alone() -> No
 
 @pytest.mark.parametrize("scale", [0.1, 1.0, 10.0])
 def test_the_shift_serves_stiffnesses_far_from_the_nominal_one(scale: float) -> None:
-    # frequencies of a plate whose stiffness is scaled as a whole are scaled by the root
-    operator = discretise_sparse(FREE["C1"], even(FREE["C1"], 8), {})
+    operator = discretise_sparse(FREE["C1"], even(FREE["C1"], 8), {})  # f scales with the root of K
     k, m = operator.coefficients({})
     found = solve(operator, scale**2 * k, m, 6).frequencies
     np.testing.assert_allclose(found, scale * solve(operator, k, m, 6).frequencies, rtol=1e-8)

@@ -1,4 +1,4 @@
-"""Plates with masses at points: against all their matrices at once, and against the plate without masses."""
+"""Plates with point masses, against a solve with all matrices at once and the plate without masses."""
 
 from dataclasses import replace
 
@@ -18,8 +18,7 @@ from tests.plates import with_plate
 from tests.shared import once_a_run
 
 N_MODES, N_SETS = 8, 4
-# Of the plate's mass, at fractions of its sides: light near a corner, heavy, several, two on a centre line.
-MASSES = {
+MASSES = {  # (mass, x, y) relative to the plate: light near a corner, heavy, several, two on a centre line.
     "light": ((0.01, 0.95, 0.925),),
     "heavy": ((0.2, 0.3, 0.4),),
     "several": ((0.02, 0.2, 0.3), (0.05, 0.7, 0.6), (0.01, 0.72, 0.6)),
@@ -28,7 +27,6 @@ MASSES = {
 
 
 def problem_of(edges: str, masses: str, *, air: bool = False) -> Problem:
-    """C1 with other edges and masses, its constants and its thickness open."""
     plate = builtin("C1").plate
     one = with_plate("C1", edges=edges, sd={"thickness": 0.02 * plate.thickness})
     problem = plate_problem(one, one.unknowns.union(size_parameters(one)))
@@ -114,8 +112,7 @@ def test_samples_alone_are_solved_as_all_matrices_are() -> None:
     eye = np.eye(N_SETS)
     found = solve(discretise_at(problem, space, x), eye, eye, N_MODES).frequencies
     expected = model_of("FFFF", "several").predict(sets_of(problem)).frequencies
-    # rounding of two routines of LAPACK, 1e-9 on some processors
-    np.testing.assert_allclose(found, expected, rtol=1e-8)
+    np.testing.assert_allclose(found, expected, rtol=1e-8)  # two LAPACK routines, 1e-9 on some CPUs
 
 
 def test_a_mass_in_the_middle_and_many_masses_join_no_parts() -> None:

@@ -1,4 +1,4 @@
-"""Meshes from files: what is read, and what is said of those that cannot be used."""
+"""Meshes from files: what is read, and the messages for those that cannot be used."""
 
 import sys
 from dataclasses import replace
@@ -15,7 +15,7 @@ EDGES = ("x0", "y0", "x1", "y1")
 FOUR = rectangle(40.0, 20.0, 2, 2)
 INNER, METRES = replace(FOUR, lines={"x0": np.array([[1, 4]])}), replace(FOUR, points=1e-3 * FOUR.points)
 
-# A 40 x 20 rectangle of two cells with named sides, as Gmsh 4.15 writes it.
+# A 40 x 20 rectangle of two cells with named sides, as written by Gmsh 4.15.
 GMSH_41 = Path(__file__).with_name("rectangle_41.msh").read_text("utf-8")
 
 
@@ -42,8 +42,7 @@ def test_cells_of_4_8_and_9_nodes_are_read_and_clockwise_ones_turned(
     mesh, named = read_mesh(path, MM, EDGES)
     assert (mesh.nelements, mesh.nfacets) == (6, 17)
     assert {k: len(v) for k, v in named.items()} == {"x0": 2, "x1": 2, "y0": 3, "y1": 3}
-    # the middle node of an 8-node cell is left over: nothing may hang on it
-    assert mesh.doflocs.shape[1] == (12 if nodes == 4 else 35)
+    assert mesh.doflocs.shape[1] == (12 if nodes == 4 else 35)  # middle nodes of 8-node cells are dropped
     jacobian = mesh.mapping().DF(np.array([[0.1, 0.8], [0.3, 0.6]]))
     np.testing.assert_allclose(np.linalg.det(np.moveaxis(jacobian, (0, 1), (-2, -1))), 1 / 6)
 
@@ -72,7 +71,6 @@ def _unshared_middles() -> Quads:
 
 
 def _moved(*middle: float) -> Quads:
-    """Four cells with their common node elsewhere."""
     points = FOUR.points.copy()
     points[4] = middle
     return replace(FOUR, points=points)
@@ -118,8 +116,7 @@ $Elements
 {}
 $EndElements
 """
-# What a file holds, and what is said of it; nothing: "accepted: Gmsh format 2.2 or 4.1".
-REFUSED = {
+REFUSED = {  # Content of a file, and its message; by default "accepted: Gmsh format 2.2 or 4.1".
     "triangles": (CELLS.format("2\n1 2 2 1 1 1 2 3\n2 2 2 1 1 1 3 4"), "it has 2 triangle; .*recombine"),
     "mixed": (CELLS.format("2\n1 3 2 1 1 1 2 3 4\n2 2 2 1 1 2 5 3"), "it has 1 quad, 1 triangle; "),
     "lines": (CELLS.format("1\n1 1 2 1 1 1 2"), "it has no cells of a surface; "),

@@ -36,7 +36,7 @@ def custom(layup: str, edges: str, thickness_mm: float, g23: bool = False) -> Sp
 
 
 def on_fixed_basis(specimen: Specimen, n_modes: int, elements: int = 0) -> PlateModel:
-    """A model in all unknowns on a small basis, or on a few elements: what is tested here holds on any."""
+    """A model in all unknowns on a small basis or a few elements, since what is tested here holds on any."""
     parameters = specimen.unknowns.union(plate_model.angle_parameters(specimen))
     problem = plate_model.plate_problem(specimen, parameters)
     values = parameters.mapping(plate_model.training_sets(problem, 8, np.random.default_rng(0)))
@@ -70,14 +70,13 @@ def model(name: str) -> PlateModel:
 
 
 def points(m: PlateModel, n: int = 3) -> np.ndarray:
-    """Admissible parameter vectors inside the prior box, (n, n_parameters)."""
     share = np.random.default_rng(11).uniform(0.1, 0.9, (40, m.parameters.size))
     x = m.parameters.lower + (m.parameters.upper - m.parameters.lower) * share
     return np.asarray(x[m.admissible(x)][:n])
 
 
 def likeness(m: PlateModel, a: Spectrum, b: Spectrum, mass: np.ndarray) -> np.ndarray:
-    """Absolute phi^T M psi of the modes of two spectra, (n_modes, n_modes)."""
+    """Absolute values of phi^T M psi between the modes of two spectra, (n_modes, n_modes)."""
     found = np.zeros((m.n_modes, m.n_modes))
     for i, j in np.ndindex(found.shape):
         (of_a, phi), (of_b, psi) = a.vector(0, i), b.vector(0, j)
@@ -91,8 +90,7 @@ def test_modes_solve_the_eigenproblem_are_orthonormal_in_the_mass_and_sorted(nam
     m = model(name)
     x = points(m)
     spectrum, without = m.spectrum(x, vectors=True), m.spectrum(x)
-    # large blocks have vectors by another algorithm, which rounds otherwise: K's range is up to 1e10
-    largest = max(b.size for b in m.operator.blocks)
+    largest = max(b.size for b in m.operator.blocks)  # large blocks round otherwise: K's range is 1e10
     rounding = 0.0 if largest <= _LARGE and name != "elements" else 1e-8
     np.testing.assert_allclose(spectrum.eigenvalues, without.eigenvalues, rtol=rounding, atol=0.0)
     assert np.all(np.diff(without.eigenvalues, axis=1) >= 0)
@@ -108,8 +106,8 @@ def test_modes_solve_the_eigenproblem_are_orthonormal_in_the_mass_and_sorted(nam
         k, big_m = (np.asarray(matrix @ np.eye(block.size)) for matrix in found)
         lam = spectrum.eigenvalues[s, n]
         assert phi @ big_m @ phi == pytest.approx(1.0, abs=1e-12)
-        # an inverse iteration leaves 1e-16 of the largest eigenvalue and its shift, 1e-11 of its own,
-        # over the share of the mode in the starting vector, one in a hundred at worst here
+        # an inverse iteration leaves 1e-16 of the largest eigenvalue and its shift, 1e-11 of its own, over
+        # the mode's share of the starting vector, at worst one in a hundred here
         root = np.sqrt(np.diagonal(big_m))
         residual = np.linalg.norm((k @ phi - lam * (big_m @ phi)) / root)
         highest = np.linalg.norm(k / np.outer(root, root), 2)
@@ -125,12 +123,12 @@ def test_a_stack_of_parameter_sets_equals_one_by_one(name: str) -> None:
     x = points(m)
     together = m.predict(x, jacobian=True)
     stiffness, mass = m.coefficients(x)
-    if np.ptp(mass, axis=0).max() == 0.0:  # one mass serves all
+    if np.ptp(mass, axis=0).max() == 0.0:  # the mass is the same for all
         found = solve(m.operator, stiffness, mass[:1], m.n_modes).frequencies
         np.testing.assert_allclose(found, together.frequencies, rtol=1e-8)
     for i, own in enumerate(x):
         alone = m.predict(own, jacobian=True)
-        # only sums of coefficients are taken in another order
+        # only the order of sums of coefficients differs
         np.testing.assert_allclose(together.frequencies[i], alone.frequencies[0], rtol=1e-8)
         slope = alone.jacobian[0] * own
         np.testing.assert_allclose(together.jacobian[i] * own, slope, atol=1e-6 * np.abs(slope).max())
@@ -144,8 +142,7 @@ def test_too_many_and_too_few_rigid_body_motions_are_an_error(name: str, edges: 
     pretended = replace(m.operator, problem=replace(m.operator.problem, edges=edges))
     with pytest.raises(RigidBodyError, match=f"leave {rigid} rigid-body motions"):
         solve(pretended, *m.coefficients(points(m, 1)), 6)
-    # one too many, with rounding that is above zero
-    with pytest.raises(RigidBodyError, match="leave 0 rigid-body motions"):
+    with pytest.raises(RigidBodyError, match="leave 0 rigid-body motions"):  # one too many, rounded up
         modes.check_rigid(np.array([1e-6, 1e3, 1e6]), 0, supported=False)
 
 
@@ -154,8 +151,7 @@ def test_derivatives_are_the_differences_of_modes_tracked_by_shape(name: str) ->
     m = model(name)
     x = points(m, 2)
     prediction = m.predict(x, jacobian=True)
-    # one set at a time: modes of one shape are compared, whatever their rank has become
-    for s, own in enumerate(x):
+    for s, own in enumerate(x):  # one set at a time: modes of equal shape are compared, whatever their rank
         at = m.spectrum(own, vectors=True)
         mass = m.coefficients(own[None])[1][0]
         for j, p in enumerate(own):
@@ -166,15 +162,13 @@ def test_derivatives_are_the_differences_of_modes_tracked_by_shape(name: str) ->
                 slopes.append((up - down) / (2 * step))
             found = prediction.jacobian[s, :, j]
             expected = (4 * slopes[1] - slopes[0]) / 3
-            # the error of the differences is of the order of their own change, /15 after extrapolation,
-            # and 3e-9 / 1e-3 of rounding
+            # error: about the change of the differences, /15 after extrapolation, and rounding of 3e-9 / 1e-3
             error = np.abs(slopes[1] - slopes[0]) * abs(p) / 3 + 1e-5 * prediction.frequencies[s]
             assert np.all(np.abs(found - expected) * abs(p) < error)
 
 
 def test_derivatives_of_coinciding_modes_are_those_of_the_branches_they_split_into() -> None:
-    # A square isotropic plate: (1,3) and (3,1) coincide and have the same parity. With E1 they part;
-    # Navier's solution follows each branch.
+    # on a square isotropic plate (1,3) and (3,1) coincide with equal parity; E1 separates them
     nominal = plate(0.2, 0.2, 0.01, 1600.0, ISOTROPIC, (0.0,), "SSSS").nominal
     base = complete_constants(ISOTROPIC, "isotropic")
     names = ("E1", "E2", "G12")
@@ -200,11 +194,10 @@ def test_derivatives_of_coinciding_modes_are_those_of_the_branches_they_split_in
 
     for j, name in enumerate(names):
         value = float(base[name])
-        step = 1e-4 * value  # one-sided: sorted frequencies have a corner here
+        step = 1e-4 * value  # one-sided: sorted frequencies have a kink here
         slopes = [(exact(name, value + k * step) - exact(name, value)) / (k * step) for k in (1, 2)]
         expected = (2 * slopes[0] - slopes[1])[list(pair)]
-        # extrapolated one-sided differences: some 1e-8 of the frequency, and the basis 1e-7
-        allowed = 1e-6 * exact(name, value)[4] / value
+        allowed = 1e-6 * exact(name, value)[4] / value  # differences 1e-8 of f, the basis 1e-7
         np.testing.assert_allclose(jacobian[0][list(pair), j], expected, rtol=0, atol=allowed)
     parted = np.ptp(jacobian[0][list(pair), 0])
     assert parted * x[0, 0] > 0.1 * spectrum.frequencies[0, 4]
@@ -225,8 +218,7 @@ def test_labels_of_a_simply_supported_rectangle_count_naviers_half_waves() -> No
 
 
 def test_in_plane_modes_of_a_thick_supported_plate_and_coupled_ones_of_an_unsymmetric_one_are_named() -> None:
-    # v = sin(pi x / a), one half-wave between the edges that hold v, none across: at c / 2a
-    constants = complete_constants(ISOTROPIC, "isotropic")
+    constants = complete_constants(ISOTROPIC, "isotropic")  # v = sin(pi x / a) at c / 2a
     speed = float(np.sqrt(constants["G12"] / 2700.0))
     found = described(plate(0.3, 0.2, 0.06, 2700.0, ISOTROPIC, (0.0,), "SSSS"), 12)
     in_plane = {mode.label: mode for mode in found if mode.kind == "in-plane"}
@@ -241,18 +233,16 @@ def test_in_plane_modes_of_a_thick_supported_plate_and_coupled_ones_of_an_unsymm
     assert all(0.1 <= mode.in_plane_fraction <= 0.9 for mode in coupled)
 
 
-# A plate, the labels of its first modes in their order, and labels that are among the rest.
-LABELS: dict[str, tuple[Problem, list[str], set[str]]] = {
-    # Leissa's: twist, saddle, ring, then a pair of which each has one nodal line more; the ring is
-    # w = f(x) + f(y): (2,2) is the name of a mode twice as high
+LABELS: dict[str, tuple[Problem, list[str], set[str]]] = {  # labels of the first modes, and among the rest
+    # Leissa's: twist, saddle, ring, a pair with one more nodal line each; the ring is w = f(x) + f(y)
     "free square": (
         plate(0.3, 0.3, 0.003, 2700.0, ISOTROPIC),
         ["(1,1)", "(2,0)+(0,2)", "(2,0)+(0,2)"],
         {"(1,2)", "(2,1)"},
     ),
-    # fibres along x, a much longer x: bending with nodal lines across x and twisting
+    # fibres along x, which is much longer: bending with nodal lines across x, and twisting
     "beamlike": (plate(0.6, 0.1, 0.003, 1600.0, CARBON, (0.0,)), [], {"(1,1)", "(2,0)"}),
-    # held at one end only: the clamped edge itself is not counted
+    # held at one end only: the clamped edge itself does not count
     "cantilever": (plate(0.3, 0.15, 0.002, 2700.0, ISOTROPIC, (0.0,), "CFFF"), ["(0,0)", "(0,1)"], set()),
     "turned": (plate(0.15, 0.3, 0.002, 2700.0, ISOTROPIC, (0.0,), "FCFF"), ["(0,0)", "(1,0)"], set()),
 }

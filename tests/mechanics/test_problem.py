@@ -17,7 +17,7 @@ from cpam_bayes.mechanics.ritz import RitzSettings, RitzSpace, broken_quadrature
 from cpam_bayes.plate.edges import FIELDS
 from tests.plates import CARBON, plate
 
-GENERAL = (30.0, -60.0, 10.0)  # every entry of A, B, D and A_s is there
+GENERAL = (30.0, -60.0, 10.0)  # every entry of A, B, D and A_s is nonzero
 PLY = CARBON | {"G13": 5.1e9, "G23": 3.0e9}
 ALL_EDGES = ["".join(e) for e in product("FSC", repeat=4)]
 T = np.linspace(0.0, 1.0, 11)
@@ -30,7 +30,6 @@ def thick(edges: str = "FFFF", layup: tuple[float, ...] = GENERAL) -> Problem:
 def whole(
     operator: affine.DenseOperator, values: Mapping[str, np.ndarray] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """K and M of an operator over all its trial functions."""
     coefficients = [np.atleast_2d(c)[0] for c in operator.coefficients(values or {})]
     n = sum(block.size for block in operator.blocks)
     matrices = np.zeros((2, n, n))
@@ -60,7 +59,7 @@ def strains(space: RitzSpace, state: PlateState) -> tuple[np.ndarray, np.ndarray
 
 
 def by_quadrature(problem: Problem, space: RitzSpace) -> tuple[np.ndarray, np.ndarray]:
-    """K = int B^T C B and M = int N^T R N, straight from the definitions of strain and inertia."""
+    """K = int B^T C B and M = int N^T R N, directly from the definitions of strain and inertia."""
     state = problem.nominal
     b, area = strains(space, state)
     k = np.einsum("p,pin,ij,pjm->nm", area, b, state.stiffness(), b, optimize=True)
@@ -81,8 +80,7 @@ def test_rigid_body_count_is_the_null_space_of_the_stiffness(edges: str) -> None
     scale = 1.0 / np.sqrt(np.diagonal(m))
     lam = np.linalg.eigvalsh(k * scale[:, None] * scale)
     n = rigid_body_count(edges)
-    # rounding is 1e-16 of the largest eigenvalue, the least deformation 1e-5 of it
-    assert np.all(np.abs(lam[:n]) < 1e-12 * lam[-1])
+    assert np.all(np.abs(lam[:n]) < 1e-12 * lam[-1])  # rounding; the lowest deformation is 1e-5 of lam[-1]
     assert lam[n] > 1e-7 * lam[-1]
 
 
@@ -95,8 +93,7 @@ def test_wrong_edges_are_refused_with_what_is_accepted() -> None:
 
 @pytest.mark.parametrize("edges", ["CFSF", "FSFC", "SCFS"])
 def test_trial_functions_vanish_where_an_edge_holds_them_and_only_there(edges: str) -> None:
-    # S is Navier's support: what turns or moves along the edge is held, what does so across it is not
-    held: dict[str, dict[str, set[str]]] = {
+    held: dict[str, dict[str, set[str]]] = {  # S is Navier's: motion along the edge is fixed, across it free
         "F": {"x": set(), "y": set()},
         "S": {"x": {"v", "w", "phi_y"}, "y": {"u", "w", "phi_x"}},
         "C": {"x": set(FIELDS), "y": set(FIELDS)},
@@ -118,7 +115,7 @@ def test_affine_sum_is_the_quadrature_of_both_energies(edges: str, terms: tuple[
     space = ritz_space(edges, problem.nominal, RitzSettings(*terms))
     both = zip(whole(discretise(problem, space, {})), by_quadrature(problem, space), strict=True)
     for found, expected in both:
-        # both integrate exactly; sums of some hundred points leave 1e-13 of the largest entry
+        # both integrate exactly; sums of a hundred points leave 1e-13 of the largest entry
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
@@ -163,15 +160,14 @@ def test_quadrature_over_the_breaks_of_a_bell_integrates_it_times_a_polynomial(
     t, w = broken_quadrature(bell.breaks)
     fine = np.linspace(max(0.0, centre - 9 * width), min(1.0, centre + 9 * width), 400001)
     expected = np.trapezoid(bell(fine) * fine**8, fine)
-    # the trapezoidal rule that is compared with errs by 1e-9
-    assert np.sum(w * bell(t) * t**8) == pytest.approx(expected, rel=1e-7, abs=1e-14)
+    assert np.sum(w * bell(t) * t**8) == pytest.approx(expected, rel=1e-7, abs=1e-14)  # trapezoidal: 1e-9
     assert np.sum(w) == pytest.approx(1.0, rel=1e-14)
 
 
 def test_a_shift_that_hits_an_eigenvalue_exactly_gives_its_vector_all_the_same() -> None:
-    """The shift lies 1e-11 beside the eigenvalue that it is given, which has an error of its own."""
+    """The shift is 1e-11 off the given eigenvalue, which has an error of its own."""
     given = 1.0 / (1.0 + 1e-11)
-    assert given * (1.0 + 1e-11) == 1.0  # the matrix of the iteration is singular to the last digit
+    assert given * (1.0 + 1e-11) == 1.0  # the iteration matrix is exactly singular
     stiffness, sets = np.diag([1.0, 2.0, 5.0])[None], np.zeros(2, dtype=int)
     found = affine._iterated(stiffness, np.array([[given, 2.0]]), sets, np.array([0, 1]))
     np.testing.assert_allclose(np.abs(found), np.eye(3)[:2], atol=1e-9)
@@ -180,7 +176,7 @@ def test_a_shift_that_hits_an_eigenvalue_exactly_gives_its_vector_all_the_same()
 @pytest.mark.parametrize("diagonal", [True, False])
 @pytest.mark.parametrize(("size", "wanted"), [(30, 7), (130, 7), (130, 70)])
 def test_pairs_solve_the_problem_whatever_the_size(size: int, wanted: int, diagonal: bool) -> None:
-    """Large blocks are solved in another way than small ones, for many pairs in a third."""
+    """Large blocks are solved in another way than small ones, and many pairs in a third."""
     rng = np.random.default_rng(size)
     roots = rng.standard_normal((4, size, size))
     stiffness, mass = (np.einsum("qij,qkj->qik", half, half) / size for half in (roots[:2], roots[2:]))

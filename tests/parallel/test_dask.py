@@ -25,7 +25,6 @@ BROKEN = ('raise ImportError("not here")', r"the Dask worker tcp://\S+ cannot im
 
 @contextmanager
 def _started(directory, path, *words):
-    """A Dask program, ended with all processes that it started."""
     with (directory / "log").open("ab") as log:
         program = subprocess.Popen(
             [sys.executable, "-m", "dask", *words, "--host", "127.0.0.1", "--no-dashboard"],
@@ -41,7 +40,7 @@ def _started(directory, path, *words):
 
 
 def _scheduler(directory):
-    # the operating system finds the port, and the scheduler writes it down
+    # the operating system finds a port, and the scheduler writes it down
     return _started(directory, [], "scheduler", "--port", "0", "--scheduler-file", str(directory / "address"))
 
 
@@ -52,7 +51,7 @@ def _workers(directory, n, *path):
 
 
 def _client(directory):
-    """Waits for the scheduler's file; workers do so too."""
+    """Client that waits for the scheduler's file, as workers do."""
     return Client(scheduler_file=str(directory / "address"), timeout=120, set_as_default=False)
 
 
@@ -87,13 +86,12 @@ def test_the_posterior_of_a_plate_is_the_same_bit_for_bit_when_a_worker_is_kille
             log = tmp_path / f"log {batch_size}"
             shared = (posterior, work.Counted(0, str(log)), "")
             there = run(work.log_probabilities, shared, range(24), cluster, batch_size=batch_size)
-            # all but the process that computed them
-            assert np.array_equal(here[:, :-1], np.array(there)[:, :-1])
-            assert all(found.flags.writeable for found in there)  # as those of a serial run
+            assert np.array_equal(here[:, :-1], np.array(there)[:, :-1])  # all but the process id
+            assert all(found.flags.writeable for found in there)  # like those of a serial run
             processes = {f"{found[-1]:.0f}" for found in there}
             assert str(os.getpid()) not in processes
             assert sorted(work.lines(log)) == sorted(processes)
-        # the workers have no main module of this program, nor what a function defines
+        # the workers lack this program's main module and definitions inside functions
         assert run(lambda shared, item: shared(item), lambda x: x + 1, [1, 2], cluster) == [2, 3]
         shared = (posterior, counted, str(flag))
         there = run(work.log_probabilities, shared, range(24), cluster, batch_size=4)
@@ -123,7 +121,7 @@ def test_a_scheduler_without_workers_is_an_error_and_one_that_goes_away_ends_the
             pass
 
         def stop(index: int, result: int) -> None:
-            with suppress(ProcessLookupError):  # results that were on their way come after the first
+            with suppress(ProcessLookupError):  # results already on their way may arrive after the first
                 os.killpg(scheduler.pid, signal.SIGKILL)
             scheduler.wait()
 

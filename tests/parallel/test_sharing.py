@@ -1,4 +1,4 @@
-"""Shared-out work gives what serial work gives, wherever it is done and whatever happens to the workers."""
+"""Distributed work gives the results of serial work, wherever it runs and whatever happens to the workers."""
 
 import fcntl
 import operator
@@ -41,8 +41,7 @@ NO_EXECUTORS = [
     (NOBODY_TLS, None, UNREADABLE, CERTIFICATE),
     (NOBODY, None, ENCRYPTED, "require encryption; write tls:// for dask://"),
 ]
-# What happens when a worker starts, and at the first result; the status of the owner and what it says.
-ENDS = [
+ENDS = [  # Events at a worker's start and at the first result; the owner's exit status and output.
     ("os.killpg(0, signal.SIGINT)", "None", (0, "interrupted\n", "")),
     ("pass", "os.killpg(0, signal.SIGINT)", (0, "interrupted\n", "")),
     ("pass", "os.kill(os.getpid(), signal.SIGKILL)", (-signal.SIGKILL,)),
@@ -91,8 +90,7 @@ def test_results_are_those_of_the_serial_run_and_each_is_told_once(executor, bat
 
 
 def test_memory_layout_does_not_tell_the_serial_run_from_a_shared_one(two):
-    # products of strided arrays take other paths in BLAS, with other rounding
-    cube = np.random.default_rng(2).normal(size=(20, 30, 40))
+    cube = np.random.default_rng(2).normal(size=(20, 30, 40))  # strided arrays take other paths in BLAS
     for shared in (MATRIX[::2, ::3], cube.transpose(0, 2, 1)):
         items = list(np.random.default_rng(1).normal(size=(3, 2 * shared.shape[-1]))[:, ::2])
         here, there = (run(operator.matmul, shared, items, where) for where in (None, two))
@@ -149,7 +147,7 @@ def test_what_the_scheduler_of_dask_gives_up_is_sent_again_three_times():
     def die(*_: object) -> None:
         raise distributed.KilledWorker("task", SimpleNamespace(address="tcp://worker"), 3)
 
-    class Unlucky(ThreadPoolExecutor):  # whose workers die that get the batch of item 2
+    class Unlucky(ThreadPoolExecutor):  # whose workers die when they get the batch of item 2
         def submit(self, fn, /, *args, **kwargs):
             return super().submit(die if pickle.loads(args[2]) == [2] else fn, *args, **kwargs)
 
@@ -165,12 +163,11 @@ def test_an_error_of_the_work_comes_as_it_is_with_its_item_and_stops_the_rest(tm
     for name, where in (("here", None), ("there", executor)):
         log, gate = tmp_path / name, tmp_path / "gate"
         with gate.open("w") as held:
-            fcntl.flock(held, fcntl.LOCK_EX)  # which no item after the failing one passes
+            fcntl.flock(held, fcntl.LOCK_EX)  # which blocks every item after the failing one
             with pytest.raises(LookupError, match="no luck with 12") as caught:
                 run(work.fail_at, (12, str(log), str(gate)), range(10, 200), where, batch_size=1)
         assert "item 2 of 190" in caught.value.__notes__[-1]
-        # at most those that were waiting in the queue of the executor
-        assert "12" in work.lines(log)
+        assert "12" in work.lines(log)  # at most those waiting in the executor's queue
         assert len(work.lines(log)) < 20
     assert "in fail_at" in caught.value.__notes__[0]  # where in the worker
     with pytest.raises(RuntimeError, match="OddError: odd indeed"):  # which cannot be pickled
@@ -179,7 +176,7 @@ def test_an_error_of_the_work_comes_as_it_is_with_its_item_and_stops_the_rest(tm
 
 @pytest.mark.parametrize(("first", "notes"), [(TypeError("unpickled"), UNSENT), (OSError("disk full"), [])])
 def test_what_waits_is_cancelled_when_sending_or_the_caller_fails(first, notes):
-    # does nothing but the first batch: it is not sent, or its result is what the caller fails with
+    # runs only the first batch: later ones are not sent, or their result is the caller's error
     class Waiting(Executor):
         _max_workers = 2
 
@@ -224,7 +221,7 @@ def test_blas_has_one_thread_here_and_in_any_worker_and_all_of_its_own_after_the
 
 @pytest.mark.parametrize(("at_start", "on_result", "ended"), ENDS)
 def test_workers_leave_without_a_word_with_their_session_or_their_owner(tmp_path, at_start, on_result, ended):
-    """A program of a session of its own, whose workers wait for ever."""
+    """A program in a session of its own, whose workers wait forever."""
     path = tmp_path / "script.py"
     text = f"""
         import os, signal
@@ -246,12 +243,11 @@ def test_workers_leave_without_a_word_with_their_session_or_their_owner(tmp_path
     program = subprocess.Popen(
         [sys.executable, str(path)], text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, start_new_session=True,
-        # a shell that puts the tests in the background has them ignore interrupts, and what they start
+        # a shell that runs the tests in the background makes them and their children ignore interrupts
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
     try:
-        # the workers hold its standard output open, so this ends once the last of them is gone
-        output, errors = program.communicate(timeout=120)
+        output, errors = program.communicate(timeout=120)  # its output stays open until workers are gone
     except subprocess.TimeoutExpired:
         os.killpg(program.pid, signal.SIGKILL)
         program.communicate()
@@ -321,7 +317,7 @@ def test_arrays_of_any_order_size_and_type_come_back(array, tmp_path):
     with path.open("wb") as file:
         write_shared({"name": [array, SMALL, array + 1], "a": (1, "b")}, file)
     found = read_shared(path)
-    path.unlink()  # which the arrays outlive
+    path.unlink()  # the arrays outlive it
     assert found["a"] == (1, "b")
     for one, expected in zip(found["name"], (array, SMALL, array + 1), strict=True):
         np.testing.assert_array_equal(one, expected, strict=True)

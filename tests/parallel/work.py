@@ -1,4 +1,4 @@
-"""Work for workers: functions and records that other processes import from here."""
+"""Functions and records for parallel tests, which worker processes import from here."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from cpam_bayes.parallel import executors as worker
 
 
 def append(path: str, text: str) -> None:
-    """Add a line in one piece, whoever else writes."""
     with open(path, "a") as file:
         file.write(f"{text}\n")
 
@@ -30,7 +29,7 @@ def lines(path: Path) -> list[str]:
 
 @dataclass(frozen=True)
 class Counted:
-    """A shared object that leaves a line with the process each time it is restored."""
+    """A shared object that logs the process each time it is restored."""
 
     value: Any
     log: str
@@ -45,7 +44,7 @@ def _restored(value: Any, log: str) -> Counted:
 
 
 def noisy_norm(matrix: np.ndarray, seed: int) -> float:
-    """Something that depends on every bit of a matrix and of a stream of random numbers."""
+    """A number that depends on every bit of a matrix and of a random stream."""
     return float(np.linalg.norm(matrix @ np.random.default_rng(seed).normal(size=matrix.shape[1])))
 
 
@@ -54,7 +53,7 @@ def item_of(shared: Counted, item: int) -> int:
 
 
 def square_or_kill(shared: tuple[int, str], item: int) -> int:
-    """The worker is killed in the middle of one item: always, or where a flag is named the first time."""
+    """Kill the worker in the middle of one item: always, or with a flag file only the first time."""
     place, flag = shared
     if item == place and not (flag and os.path.exists(flag)):
         if flag:
@@ -64,14 +63,12 @@ def square_or_kill(shared: tuple[int, str], item: int) -> int:
 
 
 class OddError(Exception):
-    """An error that pickles and cannot be restored."""
-
     def __init__(self, first: str, second: str) -> None:
         super().__init__(f"{first} {second}")
 
 
 def fail_at(shared: tuple[int, str, str], item: int) -> int:
-    """Fails at an item; what comes after that one waits at a gate, however late it is."""
+    """Fail at one item; all later items wait at a gate."""
     place, log, gate = shared
     append(log, str(item))
     if item == place:
@@ -91,12 +88,11 @@ def blas_threads(shared: np.ndarray, item: int) -> int:
 
 
 def sums_of_kept(shared: np.ndarray, item: int) -> list[float]:
-    """The sums of all shared objects that this worker holds."""
     return [float(np.sum(found.shared)) for found in worker._restored.values()]
 
 
 def log_probabilities(shared: tuple[Posterior, Counted, str], seed: int) -> np.ndarray:
-    """Log posterior at vectors drawn from the prior, then the process; a flag has the worker killed once."""
+    """Log posterior at draws from the prior, then the process id; a flag makes the worker die once."""
     posterior, _, flag = shared
     if flag:
         square_or_kill((5, flag), seed)
@@ -105,6 +101,5 @@ def log_probabilities(shared: tuple[Posterior, Counted, str], seed: int) -> np.n
 
 
 def of_lasting(call: tuple[Lasting, int], item: int) -> tuple[Any, int]:
-    """What the call shares, with the item."""
     objects, of_call = call
     return [part.value for part in objects.parts], of_call + item

@@ -18,7 +18,7 @@ def full_text():
 
 @pytest.fixture
 def read(tmp_path: Path):
-    """Read a plate file whose measurement is in a file of some content, a table of modes by default."""
+    """Read a plate file whose measurement is in a file with this content, by default a table of modes."""
 
     def reading(
         content: str | bytes, more: str = "", key: str = "table", name: str = "modes.csv"
@@ -41,7 +41,7 @@ def measured(read):
 
 @pytest.fixture
 def refused(read):
-    """The problems of such a file, each without its key and the name and line of the plate file."""
+    """Problems of such a file, each without its key and the name and line of the plate file."""
 
     def problems(content: str | bytes, more: str = "", *, key: str = "table", **file: str) -> list[str]:
         with pytest.raises(PlateFileError) as caught:

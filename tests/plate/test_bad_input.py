@@ -1,4 +1,4 @@
-"""What a user writes in a plate file is understood, or all that is wrong is said at once, with its cure."""
+"""A user's spelling in a plate file is understood, or all errors are reported at once, with their cure."""
 
 import pickle
 import re
@@ -14,7 +14,7 @@ from tests.plate_file import BAR
 
 LIST = "[80.2, 146.3, 218.6, 275.1]"
 PLY = "E1_GPa = 132.0\nE2_GPa = 9.1\nnu12 = 0.31\nG12_GPa = 4.8\n"
-# what stands in the good file, and what a user writes for it: the same plate
+# entry in the good file, and what a user may write instead: the same plate
 FREE = ['"free"', '"Frei"', '"ffff"', '"F F F F"', '"F-F-F-F"', '"FFFF "', '"all edges free"']
 ORTHOTROPIC = 'symmetry = "orthotropic"\nE1_GPa = 3\nE2_GPa = 1\nG12_GPa = 1\n'
 MATERIALS = [
@@ -45,23 +45,21 @@ def one_problem(text, directory=None):
     return problems[0]
 
 
-# (what stands in the good file, what replaces it, the key, what the message must hold)
-SPOILT = [
+SPOILT = [  # (entry in the good file, its replacement, the key, text in the message)
     # unknown keys
     ("E2_GPa = 9.34", "E2_GPa = 9.34\nE3_GPa = 9.34", "material.E3_GPa", "nearest known key is E"),
     ("[plate.sd]", "[plates]", "plates", "nearest known key is plate"),
     ("mass_g = 1.2", "mass_g = 1.2\nz_mm = 1", "sensor item 1.z_mm", "nearest known key is"),
     ("width_mm = 250", "width_mm = 250\nresolution_hz = 1", "plate.resolution_hz", "[measurement]"),
     ("sd = 0.03, ", "sd = 0.03, men = 1, ", "unknowns.nu12.men", "nearest known key is mean"),
-    # types
-    ("length_mm = 260.0", "length_mm = 1979-05-27", "plate.length_mm", "received datetime.date"),
+    ("length_mm = 260.0", "length_mm = 1979-05-27", "plate.length_mm", "received datetime.date"),  # types
     ("length_mm = 260.0", f"length_mm = 1{'0' * 400}", "plate.length_mm", "wrong type"),
     ("isotropic = false", 'isotropic = "no"', "material.isotropic", "true or false"),
     ('name = "plate 7"', 'name = ""', "name", "empty text"),
     ("[environment]\nair_density_kg_m3 = 1.2", "[[environment]]", "environment", "a table"),
     ("E2_GPa = [5, 40]", "E2_GPa = [5, 40, 50]", "unknowns.E2_GPa", "wrong length"),
     ("E2_GPa = [5, 40]", "E2_GPa = {}", None, "missing"),
-    # numbers that are none, and sizes that are none
+    # values that are no numbers, and impossible sizes
     ("length_mm = 260.0", "length_mm = nan", "plate.length_mm", "not a finite number"),
     ("thickness_mm = 3.2", "thickness_mm = -3.2", "plate.thickness_mm", "above 0, in mm"),
     ("thickness_mm = 3.2", "thickness_mm = 1e-300", "plate.thickness_mm", "out of range"),
@@ -79,14 +77,12 @@ SPOILT = [
     ("[0.2, 0.5,", "[0.2, 0.0,", "measurement.frequency_sd_hz item 2", "above 0"),
     ("[102, 311, 342, 342, 390, 612.5]", "[342, 342, 342, 342, 342, 342]", None, "all 6 frequencies"),
     ("sd = 0.03", "sd = 0", "unknowns.nu12.sd", "above 0"),
-    # missing
-    ('edges = "CFSF"\n', "", "plate.edges", "missing, accepted: four letters"),
+    ('edges = "CFSF"\n', "", "plate.edges", "missing, accepted: four letters"),  # missing
     ("E2_GPa = 9.34\n", "", "material.E2_GPa", "missing"),
     ("isotropic = false\n", 'symmetry = "ortho"\n', "material.symmetry", 'accepted: "isotropic", "tran'),
     ("isotropic = false", 'isotropic = true\nsymmetry = "orthotropic"', "material.isotropic", "contradicts"),
     ('layup = "[(0/90)_8]_s"\nsequence_', "sequence_", "plate.layup", "missing"),
-    # relations
-    ("thickness_mm = 3.2", "thickness_mm = 250", "plate.thickness_mm", "not a plate"),
+    ("thickness_mm = 3.2", "thickness_mm = 250", "plate.thickness_mm", "not a plate"),  # relations
     ("density_kg_m3 = 15\n", "mass_g = 15\n", "plate.sd.mass_g", "does not give"),
     ('edges = "CFSF"', 'edges = "CFS"', "plate.edges", "four letters of F S C"),
     ('edges = "CFSF"', 'edges = "CFSF\\n"', "plate.edges", "four letters of F S C"),
@@ -121,8 +117,7 @@ def test_each_error_names_file_line_key_and_what_is_accepted(full_text, good, ba
     place = re.match(r"plate\.toml:(\d+): ([^:]+): ", matching[0])
     assert place.group(2) == key
     assert len(problems) == 1, problems
-    # the line holds the key, or heads the table that lacks it
-    line = text.split("\n")[int(place.group(1)) - 1]
+    line = text.split("\n")[int(place.group(1)) - 1]  # the key's line, or the head of its table
     last = re.sub(r" item \d+$", "", key).split(".")[-1]
     table = re.sub(r" item \d+$", "", key).split(".")[-2] if "." in key else ""
     assert last in line or ("missing" in said and table in line)
@@ -177,8 +172,7 @@ UNDERSTOOD = [
     (good, f"{good.split()[0]} = {value}") for good, written in WRITTEN.items() for value in written
 ]
 
-# the same, and what the one message must hold
-REFUSED = [
+REFUSED = [  # the same, and text in the single message
     (LIST, "[80,2, 146,3, 218, 275,1]", "decimal commas?"),
     ("nu12 = 0.31", "nu12=[0,15, 0,45]", "0,15 is two numbers"),
     ('name = "panel"', "date = 5.3.2026", 'a date stands in quotes: "5.3.2026"'),
@@ -206,8 +200,7 @@ REFUSED = [
     ("relative_std = 0.002", 'table = "C:\\Users\\me\\modes.csv"', "write / for \\ in a path"),
     ("frequencies_hz = [80.2, 146.3, 218.6, 275.1]", 'table = "data\\test.csv"', "write / for \\"),
     ("[environment]\nair_density_kg_m3 = 1.2", "[environment]\nair = true", "unknown key, accepted: air"),
-    # tables and keys
-    ("[plate]\n", "[PLATE]\n", "PLATE: unknown key, the nearest known key is plate"),
+    ("[plate]\n", "[PLATE]\n", "PLATE: unknown key, the nearest known key is plate"),  # tables and keys
     ("[material]", "[properties]", "properties: unknown key, the nearest known key is material"),
     ("[[sensor]]", "[sensor]", "accepted: at most 100 tables [[sensor]]"),
     ("[plate]\n", "plate:\n", "a table is headed [plate]"),
@@ -218,15 +211,13 @@ REFUSED = [
     ("length_mm = 310.0", "length_mm = 310.0\nlength_mm = 310.0", "a key and a table stand once"),
     ("mass_g = 340.7", "rho = 1550", "rho: unknown key, accepted: length_mm"),
     ("E1_GPa = [60.0, 250.0]", "thickness_mm = [2.0, 4.0]", "accepted: E1_GPa E2_GPa nu12"),
-    # texts
-    ('name = "panel"', "name = \u00abpanel\u00bb", 'quotes are "'),
+    ('name = "panel"', "name = \u00abpanel\u00bb", 'quotes are "'),  # texts
     ('name = "panel"', "name = \u2018panel\u2019", 'quotes are "'),
     ('name = "panel"', 'name = "panel', "a quote is missing"),
     ('layup = "[0/90]_2s"', 'layup = "(0/90)_2s"', 'a layup begins with "["'),
     ('layup = "[0/90]_2s"', 'layup = "[0/100]"', "angle 100, accepted: -90 to 90"),
     ('edges = "FFFF"', 'edges = "h\u00e4ngend"', 'received "h\u00e4ngend", accepted: four letters'),
-    # numbers
-    ("thickness_mm = 3.1", "thickness_mm = .31", "a digit on each side of a point"),
+    ("thickness_mm = 3.1", "thickness_mm = .31", "a digit on each side of a point"),  # numbers
     ("thickness_mm = 3.1", "thickness_mm = 3.1 // gauged", "# begins a comment"),
     ("mass_g = 340.7", "density_g_cm3 = 1.6", "the nearest known key is density_kg_m3"),
     (PLY, "E1_GPa = 132e9\nE2_GPa = 9.1e9\nnu12 = 0.31\nG12_GPa = 4.8e9\n", "1.32e+11 Pa are 132 GPa"),
@@ -237,8 +228,7 @@ REFUSED = [
     ("[60.0, 250.0]", "[60,0, 250,0]", "are these decimal commas?"),
     ("x_mm = 300.0\ny_mm = 220.0", "x_mm = 3000\ny_mm = 2200", "outside the plate, received 3000"),
     ("relative_std = 0.002", "relative_std = 2", "0.2 % is 0.002"),
-    # the list
-    (LIST, "[80,85, 146,350, 218,6]", "are these decimal commas?"),
+    (LIST, "[80,85, 146,350, 218,6]", "are these decimal commas?"),  # the list
     (LIST, "[80.2; 146.3; 218.6]", "commas part the numbers of a list"),
     (LIST, "(80.2, 146.3)", "a list stands in [ ]"),
     (LIST, "80.2, 146.3, 218.6", "a list stands in [ ]"),
@@ -337,11 +327,10 @@ def test_only_the_problems_that_are_shown_are_put_in_words(monkeypatch):
 def test_too_many_of_a_kind_are_one_problem(said):
     problems = problems_of(TOO_MANY[said])
     assert [f"too many, {said}" in problem for problem in problems if "too many" in problem] == [True]
-    assert len(problems) < 6  # what is missing beside it
+    assert len(problems) < 6  # besides what is missing
 
 
 def test_sensors_heavier_than_the_plate_are_refused_with_its_mass(full_text):
-    # 260 mm x 250 mm x 3.2 mm of 1590 kg/m3
     said = one_problem(full_text.replace("mass_g = 0.5", "mass_g = 500.0"))
     assert "sensor item 2.mass_g: heavier than the plate, received 501.2 in all" in said
     assert "accepted: up to 330.7" in said

@@ -1,4 +1,4 @@
-"""The built-in specimens are those of Tables 1 to 4 as printed, with the bounds of eq. (8)."""
+"""The built-in specimens agree with the printed Tables 1 to 4 and the bounds of eq. (8)."""
 
 import pytest
 
@@ -52,7 +52,7 @@ def test_edges_constants_and_lists_are_those_of_the_plate(name):
     composite = "glass/epoxy" if name in GLASS else "carbon/epoxy"
     assert material.name == ("aluminium" if name in ("A1", "A2") else composite)
     assert material.isotropic == (name in ("A1", "A2"))
-    # G23 is printed for carbon, and four plates leave it to eq. (6)
+    # G23 is printed for carbon, and four plates take it from eq. (6)
     (row,) = (row for row in printed_table(3).rows if row.specimen == material.name)
     printed = {key: cell.number for key, cell in row.values.items() if key != "G23_GPa"}
     constants = {user_name(key): to_user(key, value) for key, value in material.constants.items()}

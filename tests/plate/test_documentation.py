@@ -1,4 +1,4 @@
-"""docs/plate_file.md has every key of a plate file with its unit, its default and a valid example."""
+"""docs/plate_file.md lists every key of a plate file with its unit, its default and a valid example."""
 
 import re
 import tomllib
@@ -25,8 +25,7 @@ from validation.recorded_hits import RATE, Faults, recorded_hits
 PAGE = (Path(__file__).parents[2] / "docs" / "plate_file.md").read_text(encoding="utf-8")
 TOP, PRIOR = "The top of the file", "{ mean, sd, bounds }"
 UNITS = {"mm": "mm", "g": "g", "m3": "kg/m³", "GPa": "GPa", "hz": "Hz", "deg": "°"}
-# All values that a standard deviation may belong to.
-FILE = described(
+FILE = described(  # All values that may have a standard deviation.
     (310.0, 228.0, 3.1),
     1555.0,
     {**SHEET, "G13_GPa": 4.8, "G23_GPa": 3.2},
@@ -38,7 +37,6 @@ FILE = described(
 
 
 def parts(annotation: Any) -> Iterator[Any]:
-    """A type and what it is made of."""
     yield annotation
     if get_origin(annotation) in (Union, UnionType, Annotated, list):
         for part in get_args(annotation):
@@ -46,7 +44,6 @@ def parts(annotation: Any) -> Iterator[Any]:
 
 
 def tables(model: type[BaseModel], heading: str) -> dict[str, dict[str, FieldInfo]]:
-    """The heading of every table of a plate file, and its keys."""
     found: dict[str, dict[str, FieldInfo]] = {heading: {}}
     for key, field in model.model_fields.items():
         inside = list(parts(field.annotation))
@@ -65,7 +62,6 @@ TABLES = tables(PlateFile, TOP)
 
 
 def documented(heading: str) -> dict[str, dict[str, str]]:
-    """Key -> the cells of its row."""
     title = heading if heading == TOP else f"`{heading}`"
     section = PAGE.partition(f"\n## {title}\n")[2].partition("\n## ")[0]
     lines = [line.strip("|").split(" | ") for line in section.splitlines() if "|" in line]
@@ -107,7 +103,7 @@ def _hybrid_with(heading: str, key: str, value: Any) -> dict[str, Any]:
 
 
 def with_example(heading: str, key: str, value: Any) -> dict[str, Any]:
-    """The file with the example of a key, and with what the key needs or excludes."""
+    """The file with the example of a key, and with the changes that the key requires."""
     file = deepcopy(FILE)
     if key == "mass_g" and heading.startswith("[plate"):
         del file["plate"]["density_kg_m3"]

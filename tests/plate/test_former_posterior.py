@@ -1,4 +1,4 @@
-"""The posterior of a former plate as prior: what is read of it, the density that it becomes, refusals."""
+"""The posterior of a former plate as prior: reading, its density, refusals."""
 
 import copy
 from pathlib import Path
@@ -25,7 +25,7 @@ NORMAL = {"mean": 0.3, "sd": 0.02, "bounds": [0.1, 0.5]}
 
 
 def logs(sd: float | list[float] = 0.02) -> np.ndarray:
-    """Draws (20000, 4) of moduli's logarithms and Poisson's ratio."""
+    """Draws (20000, 4) of the logarithms of moduli and of Poisson's ratio."""
     normal = np.random.default_rng(1).standard_normal((20_000, 4))
     return MEAN + normal @ np.linalg.cholesky(CORRELATION).T * sd
 
@@ -42,7 +42,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def in_logs(x: np.ndarray) -> np.ndarray:
-    """Constants, SI, as the draws of `logs`."""
     return np.column_stack([np.log(x[:, :2] / 1e9), x[:, 2], np.log(x[:, 3] / 1e9)])
 
 
@@ -50,8 +49,7 @@ def test_the_prior_is_the_multivariate_normal_of_the_draws() -> None:
     unknowns, drawn = cb.read_plate(PLATE).unknowns, logs()
     x = unknowns.sample(np.random.default_rng(2), 20_000)
     assert unknowns.names == ("E1", "E2", "nu12", "G12")
-    # standard errors of means are 0.007 sd, of correlations 0.007
-    assert_allclose(in_logs(x).mean(axis=0), drawn.mean(axis=0), atol=0.04 * 0.02)
+    assert_allclose(in_logs(x).mean(axis=0), drawn.mean(axis=0), atol=0.04 * 0.02)  # standard errors: 0.007
     assert_allclose(np.corrcoef(in_logs(x).T), np.corrcoef(drawn.T), atol=0.03)
     normal = multivariate_normal(drawn.mean(axis=0), np.cov(drawn.T, bias=True))
     moduli = np.log(x[:5, [0, 1, 3]]).sum(axis=1)
@@ -96,8 +94,7 @@ def test_next_to_a_bound_mean_and_scatter_are_those_of_the_draws_however_flat(fo
     assert prior.mean == pytest.approx(inside[:, 2].mean(), abs=1e-6)
     assert prior.sd == pytest.approx(inside[:, 2].std(), abs=1e-6)
     assert prior.describe().scale == pytest.approx(0.15, rel=0.1)
-    # an open constant keeps a flat prior
-    flat = logs()
+    flat = logs()  # an open constant keeps a flat prior
     flat[:, 2] = np.random.default_rng(4).uniform(0.1, 0.5, len(flat))
     write_posterior(folder / "former.nc", named(flat))
     prior = cb.read_plate(PLATE).unknowns["nu12"].prior

@@ -24,7 +24,7 @@ OTHERS = [
     ("[c0/core?x]", "expected"),
     ("[c]_s2", "nothing may follow"),
 ]
-# what a key is replaced by, nothing to take it away, and what is said: of this key after a colon
+# key's value, None to remove it; message
 STEEL, SD = {"E1_GPa": [1.0, 2.0]}, {"G23_GPa": 0.1}
 OF_ONE: list[tuple[str, Any, str]] = [
     ("ply item 1.material", "carbon", ": beside one [material]"),
@@ -60,8 +60,7 @@ def test_each_material_meets_its_own_constraints() -> None:
 
 def test_the_plies_give_mass_and_heights() -> None:
     plate = cb.read_plate(HYBRID).plate
-    # 6 plies of carbon of 0.25 mm, 4 of glass of 0.375 mm
-    assert_allclose(plate.density, (1590.0 * 1.5 + 1900.0 * 1.5) / 3.0, rtol=1e-12)
+    assert_allclose(plate.density, (1590.0 * 1.5 + 1900.0 * 1.5) / 3.0, rtol=1e-12)  # 1.5 mm of each
     stack = plate.layup.plies
     heights = np.diff(stack.interfaces)
     assert_allclose(3.0 * heights, [0.25] * 2 + [0.375] * 2 + [0.25] * 2 + [0.375] * 2 + [0.25] * 2)
@@ -71,8 +70,7 @@ def test_the_plies_give_mass_and_heights() -> None:
     weighed = cb.read_plate(hybrid(mass_g=330.0)).plate
     assert_allclose(weighed.density, 0.33 / (0.3 * 0.2 * 0.003), rtol=1e-12)
     assert_allclose(weighed.layup.plies.density, stack.density)
-    # one density of the plate is one of all plies
-    materials = {name: without_density(name) for name in HYBRID["material"]}
+    materials = {name: without_density(name) for name in HYBRID["material"]}  # one density for all plies
     of_one = cb.read_plate(hybrid(density_kg_m3=1700.0) | {"material": materials}).plate.layup.plies
     assert_allclose(of_one.mass_moments, (0.0, 1.0), atol=1e-15)
 
@@ -82,7 +80,6 @@ def without_density(name: str) -> dict[str, Any]:
 
 
 def of_one_material(layup: str, thickness_mm: float, **plies_mm: float) -> dict[str, Any]:
-    """A plate of named plies of carbon."""
     file = hybrid(density_kg_m3=1590.0, layup=layup, thickness_mm=thickness_mm)
     file["ply"] = [{"name": name, "thickness_mm": t} for name, t in plies_mm.items()]
     return file | {"material": without_density("carbon")}

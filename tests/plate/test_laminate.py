@@ -1,4 +1,4 @@
-"""Laminate stiffness, of one material and of several, and the constants that a symmetry allows."""
+"""Laminate stiffness of one and several materials, and the constants that a symmetry allows."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -12,7 +12,7 @@ from cpam_bayes.plate import laminate
 from cpam_bayes.plate.laminate import SHEAR, complete_constants, laminate_geometry, laminate_stiffness
 from tests.plates import ANGLE_PLY_16S, CARBON, GLASS
 
-# G13 and G23 differ from each other and from G12, so that a mistaken index shows.
+# G12, G13, G23 differ: a wrong index shows
 PLY = CARBON | {"G13": 5.1e9, "G23": 3.0e9}
 ISOTROPIC = complete_constants({"E1": 70e9, "nu12": 0.3}, "isotropic")
 THICKNESS = 0.0032
@@ -45,12 +45,12 @@ def stiffness(
 
 
 def rotated_ply(angle_deg: float, constants: Mapping[str, float] = PLY) -> np.ndarray:
-    """Plane-stress stiffness (3, 3) of a turned ply, as a tensor of four axes."""
+    """Plane-stress stiffness (3, 3) of a rotated ply, as a fourth-order tensor."""
     e1, e2, nu12, g12 = (float(constants[name]) for name in ("E1", "E2", "nu12", "G12"))
     compliance = np.array([[1 / e1, -nu12 / e1, 0], [-nu12 / e1, 1 / e2, 0], [0, 0, 1 / g12]])
     c, s = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))
-    turn = np.array([[c, s], [-s, c]])  # components along the ply's axes of a vector given in x, y
-    place = np.array([[0, 2], [2, 1]])  # of each pair of axes among 11, 22, 12
+    turn = np.array([[c, s], [-s, c]])  # components in the ply's axes of a vector in x, y
+    place = np.array([[0, 2], [2, 1]])  # index of each pair of axes among 11, 22, 12
     tensor = np.linalg.inv(compliance)[place[:, :, None, None], place]
     turned = np.einsum("ia,jb,kc,ld,ijkl->abcd", turn, turn, turn, turn, tensor)
     first, second = [0, 1, 0], [0, 1, 1]
@@ -58,14 +58,12 @@ def rotated_ply(angle_deg: float, constants: Mapping[str, float] = PLY) -> np.nd
 
 
 def rotated_shear(angle_deg: float, constants: Mapping[str, float] = PLY) -> np.ndarray:
-    """Transverse shear stiffness (2, 2) of a turned ply, order (yz, xz)."""
     c, s = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))
     turn = np.array([[c, -s], [s, c]])  # (gamma_23, gamma_13) from (gamma_yz, gamma_xz)
     return np.asarray(turn.T @ np.diag([constants["G23"], constants["G13"]]) @ turn)
 
 
 def interfaces(layup: Sequence[float], heights: Sequence[float] = ()) -> np.ndarray:
-    """z of the plies, of equal heights where none are given."""
     return THICKNESS * (np.cumsum([0.0, *(heights or np.full(len(layup), 1.0 / len(layup)))]) - 0.5)
 
 
@@ -83,22 +81,20 @@ def summed(
 
 
 def integrated_shear(layup: tuple[float, ...]) -> np.ndarray:
-    """A_s by adaptive quadrature of the energy of the stresses that equilibrium demands, order (yz, xz).
-
-    Q_x = 1 goes with dM_x/dx = 1 and Q_y = 1 with dM_y/dy = 1, nothing else changing along the plate.
-    Then tau_xz(z) = -int d sigma_x / dx and tau_yz(z) = -int d tau_xy / dx from the bottom for Q_x,
-    and likewise for Q_y.
-    """
+    """A_s by adaptive quadrature of the energy of the equilibrium stresses, order (yz, xz).
+    Q_x = 1 implies dM_x/dx = 1 and Q_y = 1 implies dM_y/dy = 1, with nothing else varying along the plate.
+    Then tau_xz(z) = -int d sigma_x / dx and tau_yz(z) = -int d tau_xy / dx from the bottom for Q_x, and
+    likewise for Q_y."""
     z = interfaces(layup)
     plies = [rotated_ply(angle) for angle in layup]
     shear_compliance = [np.linalg.inv(rotated_shear(angle)) for angle in layup]
-    response = np.linalg.inv(summed(layup)[:6, :6])[:, 3:]  # strains, curvatures of a unit moment
+    response = np.linalg.inv(summed(layup)[:6, :6])[:, 3:]  # strains and curvatures due to a unit moment
 
     def ply_at(level: float) -> int:
         return min(int(np.searchsorted(z, level, side="right")) - 1, len(layup) - 1)
 
     def stress_gradient(level: float) -> np.ndarray:
-        """Rows (x, y, xy) of the stresses of unit dM_x and unit dM_y, (3, 2)."""
+        """Rows (x, y, xy) of the stresses due to unit dM_x and unit dM_y, (3, 2)."""
         strain = response[:3, :2] + level * response[3:, :2]
         return np.asarray(plies[ply_at(level)] @ strain)
 
@@ -118,7 +114,7 @@ def integrated_shear(layup: tuple[float, ...]) -> np.ndarray:
 
 
 def block_scales(stiffness: np.ndarray) -> np.ndarray:
-    """Root of the largest diagonal entry of its block for every strain: A, B, D and A_s differ in unit."""
+    """Root of the largest diagonal entry of each strain's block: A, B, D and A_s differ in unit."""
     scale = np.sqrt(np.abs(np.diagonal(stiffness)))
     for block in (laminate.MEMBRANE, laminate.CURVATURE, SHEAR):
         scale[block] = scale[block].max(initial=0.0)
@@ -126,7 +122,6 @@ def block_scales(stiffness: np.ndarray) -> np.ndarray:
 
 
 def close(found: np.ndarray, expected: np.ndarray, digits: float = 1e-12) -> None:
-    """Equal to rounding of the largest entries, block by block."""
     scale = block_scales(expected)[:, None] * block_scales(expected)
     assert_allclose(found / scale, expected / scale, rtol=0, atol=digits)
 
@@ -145,14 +140,14 @@ def test_stiffness_is_the_sum_over_plies_without_coupling_by_symmetry(layup: tup
 @pytest.mark.parametrize("name", [name for name in LAYUPS if name != "thirty-two"])
 def test_shear_stiffness_is_the_energy_of_the_equilibrium_stresses(name: str) -> None:
     expected = integrated_shear(LAYUPS[name])
-    # the quadratures ask for 1e-12; their sums and two inversions leave a few digits less
+    # the quadratures ask for 1e-12; their sums and two inversions lose a few digits
     assert_allclose(stiffness(LAYUPS[name])[SHEAR, SHEAR], expected, rtol=0, atol=1e-10 * expected.max())
 
 
 @pytest.mark.parametrize(("e1", "g13", "g23", "k13", "k23"), VLACHOUTSIS)
 def test_shear_factors_of_a_120_ply_cross_ply_are_those_of_vlachoutsis(e1, g13, g23, k13, k23) -> None:
-    # Vlachoutsis, Int. J. Numer. Meth. Engng 33 (1992), four digits, as quoted in the tests of the
-    # package composites. His factors leave Poisson's coupling out, which is below the last digit here.
+    # Vlachoutsis, Int. J. Numer. Meth. Engng 33 (1992), four digits, as quoted in the tests of the package
+    # composites. His factors omit Poisson's coupling, which is below the last digit here.
     constants = {"E1": e1, "E2": 1.0, "nu12": 0.25, "G12": g13, "G13": g13, "G23": g23}
     layup = (0.0, 90.0) * 30 + (90.0, 0.0) * 30
     both = (stiffness(layup, constants, 1.0, model) for model in (laminate.ENERGY_CONSISTENT, UNCORRECTED))
@@ -174,8 +169,7 @@ def test_complex_step_derivative_is_the_difference_quotient(layup, shear, name: 
     step = 1e-4 * p
     exact = p * at(p + 1e-30j * p).imag / (1e-30 * p)
     slopes = [(at(p + k * step).real - at(p - k * step).real) * p / (2 * k * step) for k in (1, 2)]
-    # Richardson's error is of the order (1e-4)^4, rounding 1e-15 / 1e-4: 1e-10 of the block leaves room
-    expected = (4 * slopes[0] - slopes[1]) / 3
+    expected = (4 * slopes[0] - slopes[1]) / 3  # Richardson: (1e-4)^4, rounding 1e-15 / 1e-4
     scale = block_scales(at(p).real)
     assert np.all(np.abs(exact - expected) <= 1e-10 * scale[:, None] * scale)
     assert np.abs(expected / scale[:, None] / scale).max() > 1e-6, "a derivative that is zero proves nothing"
@@ -210,8 +204,7 @@ def test_flexural_constants_of_one_material_are_its_own() -> None:
 
 
 def test_flexural_modulus_of_an_unsymmetric_strip_lets_it_stretch() -> None:
-    # without Poisson's effect the neutral axis of [0/90] is the centroid of its two stiffnesses
-    constants = PLY | {"nu12": 0.0}
+    constants = PLY | {"nu12": 0.0}  # nu = 0: the neutral axis of [0/90] is the stiffness centroid
     e1, e2, h = constants["E1"], constants["E2"], THICKNESS
     centre = h / 4 * (e2 - e1) / (e1 + e2)
     steiner = e1 * (h / 4 + centre) ** 2 + e2 * (h / 4 - centre) ** 2
@@ -222,7 +215,6 @@ def test_flexural_modulus_of_an_unsymmetric_strip_lets_it_stretch() -> None:
 
 
 def named(**materials: dict[str, float]) -> dict[str, np.ndarray]:
-    """All constants of materials by their full names."""
     of = {n: complete_constants(c, COMPOSITE if "E2" in c else "isotropic") for n, c in materials.items()}
     return {f"{name}.{key}": value for name, constants in of.items() for key, value in constants.items()}
 
@@ -250,7 +242,7 @@ def test_a_hybrid_is_the_sum_over_its_plies() -> None:
 
 
 def test_a_soft_core_between_thin_faces_carries_all_the_shear() -> None:
-    """A_s of a sandwich tends to G d^2 / c, d between the middles of the faces, c the core (Allen, 1969)."""
+    """A_s of a sandwich tends to G d^2 / c; d between the middles of the faces, c the core (Allen, 1969)."""
     face, core = {"E1": 70e9, "nu12": 0.3}, {"E1": 2.6e7, "nu12": 0.3}
     t = 0.01
     geometry = laminate_geometry([0.0] * 3, plies=stack([t, 1 - 2 * t, t], [0, 1, 0], ("f", "c")))
@@ -287,8 +279,7 @@ def test_left_out_constants_follow_eq_6_and_11_or_the_in_plane_one_given_ones_st
         assert (given["G13"], given["G23"]) == (5e9, 3e9)
     metal = complete_constants({"E1": 69e9, "nu12": 0.33}, "isotropic")
     assert metal["E2"] == 69e9
-    # eq. (11), the printed shear modulus
-    assert metal["G12"] == metal["G13"] == metal["G23"] == pytest.approx(25.94e9, abs=0.005e9)
+    assert metal["G12"] == metal["G13"] == metal["G23"] == pytest.approx(25.94e9, abs=0.005e9)  # eq. (11)
     # missing and unknown ones
     for names, symmetry in (("E1 nu12 E2", "isotropic"), ("E1", "isotropic"), ("E1 E2 nu12", "orthotropic")):
         with pytest.raises(ValueError, match="required"):
@@ -320,7 +311,6 @@ def test_moduli_are_positive_and_isotropic_poissons_ratios_within_minus_one_and_
 @pytest.mark.parametrize("ratio", [0.05, 0.5, 1.0, 3.0, 15.0])
 def test_an_orthotropic_ply_is_positive_definite_and_no_more_is_asked_of_it(ratio):
     for nu12 in (-4.0, -1.5, -0.9, -0.2, 0.0, 0.2, 0.6, 0.99, 1.7, 4.0):
-        # the compliance in plane stress, scaled to a unit diagonal of E1
-        compliance = [[1.0, -nu12], [-nu12, ratio]]
+        compliance = [[1.0, -nu12], [-nu12, ratio]]  # plane-stress compliance, first entry scaled to one
         constants = {"E1": ratio, "E2": 1.0, "nu12": nu12, "G12": 0.1}
         assert laminate.is_admissible(constants, "orthotropic") == (np.linalg.eigvalsh(compliance)[0] > 0.0)

@@ -1,4 +1,4 @@
-"""A table is read as laboratories lay it out, or one message says what to do."""
+"""A table is read in the layouts of laboratories, or one message says what to do."""
 
 import datetime
 import io
@@ -28,7 +28,7 @@ WRITTEN = {
     "another order": "damping,hz,mode\n,333,3\n0.002,305.25,2\n0.004,101.5,1\n",
 }
 LISTED = "1;101,5\n2;305,25\n3;333\n"
-# hits below each other, and beside each other
+# hits in rows, and in columns
 HITS = "1;101,4;305,2;333,1\n2;101,6;305,3;332,9\n"
 BESIDE = "1;101,4;101,6\n2;305,2;305,3\n3;333,1;332,9\n"
 HEADS = [
@@ -37,7 +37,7 @@ HEADS = [
     *("Mode;Frequenz/Hz", "Mode;Messwert [Hz]", "Modo;Frequenza naturale [Hz]"),
     "Nr;\u0447\u0430\u0441\u0442\u043e\u0442\u0430",
 ]
-# of modes, and of the hits before them
+# headings of modes, and of the hits before them
 OF_MODES = {"Frequency of mode {}": "Run", "Mode {} frequency [Hz]": "", "f_{}": "", "Eigenform {}": "Nr"}
 
 
@@ -135,8 +135,7 @@ def test_marks_between_thousands_are_read_where_they_can_be_nothing_else(measure
     assert measured('Mode,f\n1,901.5\n2,"1,234.5"\n').frequencies.tolist() == [901.5, 1234.5]
 
 
-# What must be said, and a table that means two things, or none
-AMBIGUOUS: list[tuple[str, str | bytes]] = [
+AMBIGUOUS: list[tuple[str, str | bytes]] = [  # part of the message, and a table with two meanings or none
     ("received 901, 1.234, 2.345", "Mode;f\n1;901\n2;1.234\n3;2.345\n"),
     ("no mark between thousands", "f [Hz]\n901\n1,234\n2,345\n"),
     ("no mark between thousands", "Mode;f [Hz]\n1;1.234\n2;2.345\n3;3.456\n"),

@@ -15,8 +15,7 @@ from cpam_bayes.plate.edges import CONDITIONS, FIELDS, STATED, conditions, is_st
 from cpam_bayes.plate.layup import MAX_PLIES, format_angles, from_angles, parse_layup
 from tests.effort import peak_memory
 
-# what is written, and the angles bottom to top
-KNOWN = [
+KNOWN = [  # notation, and the angles from bottom to top
     *(("[0_20]", [0] * 20), ("[(0)_002]", [0, 0]), ("[(0/90)_8]_s", [0, 90] * 8 + [90, 0] * 8)),
     ("[45/-45/0_2]_2s", [45, -45, 0, 0] * 2 + [0, 0, -45, 45] * 2),
     ("[(0/(45/-45)_2)_2/90]", [0, 45, -45, 45, -45] * 2 + [90]),
@@ -28,8 +27,7 @@ KNOWN = [
     (" [ 0 / 90 _ 2 ] _ 2 s ", [0, 90, 90] * 2 + [90, 90, 0] * 2),
     ("[0 (45 -45)_2]", [0, 45, -45, 45, -45]),
 ]
-# and the number of the unknown angle of each ply, or -1
-UNKNOWN = [
+UNKNOWN = [  # and the number of the unknown angle of each ply, or -1
     ("[(?/?/?/?)_4]_s", [0, 1, 2, 3] * 4 + [3, 2, 1, 0] * 4),
     ("[(0/?/90/?)_4]_s", [-1, 0, -1, 1] * 4 + [1, -1, 0, -1] * 4),
     *(("[?_4/0/?]", [0, 0, 0, 0, -1, 1]), ("[?/(?/(?)_2)_2]", [0, 1, 2, 2, 1, 2, 2])),
@@ -100,8 +98,7 @@ def test_malformed_layups_are_refused_at_their_position(text, position):
 def test_layups_of_too_many_plies_are_refused_before_they_are_built(text):
     with peak_memory() as peak, pytest.raises(LayupError, match=f"up to {MAX_PLIES}"):
         parse_layup(text)
-    # a list of a million plies has 8 MB
-    assert peak() < 1e6
+    assert peak() < 1e6  # a list of a million plies would take 8 MB
     assert parse_layup("[0_1000]_s").n_plies == MAX_PLIES
 
 
@@ -166,10 +163,10 @@ def test_a_clamp_gives_way_once_in_each_way_and_leaves_no_rigid_motion_even_on_s
 
 
 def test_no_other_module_decides_by_a_letter() -> None:
-    """A new condition is a row of the table: elsewhere its properties are asked for."""
+    """A new condition is a row of the table: elsewhere its properties are used."""
     package = Path(cpam_bayes.__file__).parent
     sources = {path.relative_to(package): path.read_text("utf-8") for path in package.rglob("*.py")}
-    # the plates that a diagnosis is tested by are a model of their own
+    # the plates for tests of a diagnosis are a model of their own
     sources = {path: text for path, text in sources.items() if "validation" not in path.parts}
     decides = re.compile(r"""[=!]= "[FSC]"|"[FSC]+" (not )?in [\w.]*edges|[=!]= "[FSC]{4}\"""")
     assert [str(path) for path, text in sources.items() if decides.search(text)] == []

@@ -1,4 +1,4 @@
-"""A universal file gives frequencies, damping and shapes on the plate, and errors say what it lacks."""
+"""A universal file gives frequencies, damping and shapes on the plate, and errors say what is missing."""
 
 import sys
 from functools import partial
@@ -35,8 +35,7 @@ def test_nodes_and_normal_modes_are_read_in_the_order_of_their_frequencies_and_n
     assert found.shapes.directions.tolist() == [False, False, True]
     assert "datasets 15 55; 2 real modes at 20 nodes in mm, by the size of the plate" in found.origin
     assert shapes(ONE.replace("\n", "\r\n"), "relative_std = 0.01\n").relative_std == 0.01
-    # datasets that are not needed need not be readable
-    head = block(151, "broken") + block(9999, "unknown")
+    head = block(151, "broken") + block(9999, "unknown")  # unused datasets need not be readable
     forced = mode_55(50.0, SHAPE).replace(f"{1:10d}{2:10d}{2:10d}", f"{1:10d}{5:10d}{2:10d}")
     assert shapes(head + ONE + mode_55(0.0, SHAPE) + forced).frequencies.tolist() == [101.5]
 

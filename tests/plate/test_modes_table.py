@@ -1,4 +1,4 @@
-"""A table of modes is read as instruments and laboratories write it, and errors have their place."""
+"""A table of modes is read as instruments and laboratories write it, and errors state their place."""
 
 import io
 import zipfile
@@ -74,11 +74,11 @@ def test_hits_below_and_beside_each_other_become_their_mean_and_the_scatter_of_o
     np.testing.assert_allclose(found.frequencies, [first.mean(), 311.0, 400.0], rtol=1e-12)
     scatter = [hits.std(ddof=1) * t.ppf(0.975, 2) / 1.959963984540054 for hits in (first, second)]
     np.testing.assert_allclose(found.frequency_sd[:2], scatter, rtol=1e-12)
-    # one hit: the relative scatter of the others together, which has 4 degrees of freedom
+    # a single hit: the pooled relative scatter of the others, with 4 degrees of freedom
     pooled = np.sqrt(np.mean([first.var(ddof=1) / first.mean() ** 2, second.var(ddof=1) / 311.0**2]))
     alone = 400.0 * pooled * t.ppf(0.975, 4) / 1.959963984540054
     assert found.frequency_sd[2] == pytest.approx(alone, rel=1e-12)
-    # the same hits beside each other
+    # the same hits in rows and in columns
     rows = (f"{m},{i},{f}" for i, hit in enumerate(TAPPED, 1) for m, f in enumerate(hit, 1))
     meant = measured("\n".join(["mode,hit,hz", *rows, ""])).frequency_sd
     beside = measured(wide(";", THREE, first="hit", mark=",")).frequency_sd
@@ -90,10 +90,8 @@ def test_the_interval_of_few_hits_holds_a_further_one_as_often_as_it_says(n: int
     rng = np.random.default_rng(n)
     hits, further = rng.standard_normal((20_000, n)), rng.standard_normal(20_000)
     half = 1.96 * hits.std(axis=1, ddof=1) * small_sample_factor(n - 1.0)
-    # the mean of n hits moves too, by 1 / n of the variance
-    inside = np.abs(further - hits.mean(axis=1)) < half * np.sqrt(1.0 + 1.0 / n)
-    # four standard errors of 20 000 trials
-    assert inside.mean() == pytest.approx(0.95, abs=0.0062)
+    inside = np.abs(further - hits.mean(axis=1)) < half * np.sqrt(1.0 + 1.0 / n)  # the mean varies too
+    assert inside.mean() == pytest.approx(0.95, abs=0.0062)  # four standard errors
 
 
 def test_a_weight_of_0_leaves_a_hit_out_and_others_weigh(measured) -> None:
@@ -163,8 +161,7 @@ def test_damping_is_shown_and_in_the_document(read) -> None:
 
 
 def test_the_example_of_a_table_is_the_panel_of_the_other_example(monkeypatch) -> None:
-    # a table lies beside its plate file, from wherever this is named
-    monkeypatch.chdir(Path(__file__).parents[2])
+    monkeypatch.chdir(Path(__file__).parents[2])  # a table is beside its plate file, wherever we are
     found, listed = (cb.read_plate(f"examples/{name}.toml").measurement for name in ("panel_hits", "panel"))
     # means of five hits that scatter by 0.2 %, one of them left out
     np.testing.assert_allclose(found.frequencies, listed.frequencies, rtol=2e-3)
@@ -173,7 +170,6 @@ def test_the_example_of_a_table_is_the_panel_of_the_other_example(monkeypatch) -
 
 
 def packed(size: int) -> bytes:
-    """A small archive that unpacks to so many zeros."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("xl/sharedStrings.xml", bytes(size))
@@ -212,7 +208,7 @@ def packed(size: int) -> bytes:
         ("hz\n" + "1" * 260_000, "too large"),
         ('hz\n"' + "1" * 200_000, None),
     ],
-    ids=lambda value: "bytes" if isinstance(value, bytes) else None,  # a workbook holds the time
+    ids=lambda value: "bytes" if isinstance(value, bytes) else None,  # a workbook contains the time
 )
 def test_what_is_wrong_has_its_line_and_column(refused, content: str | bytes, said: str | None) -> None:
     problems = refused(content)

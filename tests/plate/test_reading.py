@@ -107,8 +107,7 @@ def test_what_may_be_left_out_may_be_left_out():
 
 
 def test_density_and_mass_together_measure_the_thickness(full_text):
-    # 1590 kg/m3 and 3.2 mm make m; a plate that weighs 1 % more is 1 % thicker by its density
-    alone = parse_specimen(full_text, "x").plate
+    alone = parse_specimen(full_text, "x").plate  # a plate 1 % heavier is 1 % thicker by its density
     mass = 1.01 * alone.density * alone.thickness * alone.area
     text = full_text.replace("density_kg_m3 = 1590.0", f"density_kg_m3 = 1590.0\nmass_g = {1e3 * mass}")
     text = text.replace(
@@ -117,8 +116,7 @@ def test_density_and_mass_together_measure_the_thickness(full_text):
     )
     plate = parse_specimen(text, "x").plate
     assert plate.mass == pytest.approx(mass)
-    # both are known to 1 %: their mean, known to 1 % over the root of two
-    assert plate.thickness == pytest.approx(1.005 * alone.thickness, rel=2e-4)
+    assert plate.thickness == pytest.approx(1.005 * alone.thickness, rel=2e-4)  # the mean of two at 1 %
     assert plate.sd["thickness"] == pytest.approx(0.032e-3 / 2**0.5, rel=0.02)
     assert plate.density * plate.thickness * plate.area == pytest.approx(mass)
     assert "density" not in plate.sd
@@ -251,7 +249,7 @@ def test_what_is_no_plate_file_is_one_problem(tmp_path, monkeypatch, name, said,
 
 def test_a_file_that_may_not_be_read_is_refused(monkeypatch, plate_file):
     path = plate_file()
-    # not by chmod: root, who runs some CI, may read everything
+    # not by chmod: root, which runs some CI, may read everything
     monkeypatch.setattr(os, "open", Mock(side_effect=PermissionError(13, "Permission denied")))
     with pytest.raises(PlateFileError, match="cannot be read: Permission denied"):
         read_specimen(path)

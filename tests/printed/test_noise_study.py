@@ -1,4 +1,4 @@
-"""The noise study: its tasks against closed forms, and the whole of it on an aluminium plate."""
+"""The noise study: its tasks against closed forms, and all of it on an aluminium plate."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,14 +16,13 @@ from cpam_bayes.printed.noise_study import Sensitivity, model_list, noise_study
 from cpam_bayes.printed.repetition import INTERPRETATIONS, POSTERIOR, Interpretation, Shared, perturbation_sd
 from tests.linear_model import MEAN_HZ, SLOPE_HZ, LinearModel, measurement
 
-# The model's parameters are no constants of it.
+# the parameters are not its constants
 FREE = Material("isotropic", {"E1": 70e9, "nu12": 0.3}, {}, None)
 EXACT = MEAN_HZ + SLOPE_HZ @ np.array([0.4, -0.3])
 
 
 @pytest.fixture
 def shared() -> Shared:
-    """A linear model and the list that it gives at (0.4, -0.3)."""
     problem = noise_tasks.InverseProblem(LinearModel(), LinearModel().parameters, FREE, SwarmSettings())
     exact = replace(measurement(None), frequencies=EXACT)
     chains = EnsembleSettings(walkers=16, round_steps=500, effective=1000.0)
@@ -43,8 +42,7 @@ def test_an_inversion_finds_the_least_squares_solution_of_its_noisy_list(shared:
     for group in range(3):
         found = inversion(shared, 0.01, reading, group)
         exact = np.linalg.lstsq(SLOPE_HZ, found.frequencies - MEAN_HZ, rcond=None)[0]
-        # the swarm stops when nine in ten particles agree to 1e-3 of the width of 4
-        np.testing.assert_allclose(found.constants, exact, atol=4e-3)
+        np.testing.assert_allclose(found.constants, exact, atol=4e-3)  # swarms agree to 1e-3 of a width 4
         assert found.converged
         assert not found.on_bound.any()
 
@@ -57,7 +55,7 @@ def test_an_inversion_that_noise_drives_out_of_the_box_ends_on_its_bound(shared:
 
 
 def elsewhere(times: int) -> Callable[..., SwarmResult]:
-    """A swarm that ends at (-1, 1) so many times, and then searches."""
+    """A swarm that first ends at (-1, 1) this many times, and then searches."""
     left, wrong = iter(range(times)), np.array([-1.0, 1.0])
 
     def search(objective, *args, **kwargs) -> SwarmResult:
@@ -79,8 +77,8 @@ def test_a_swarm_that_misses_the_minimum_by_more_than_it_leaves_is_started_anew(
     monkeypatch.setattr(noise_tasks, "minimise", elsewhere(99))
     found = inversion(shared, 0.01, "rms", 0)
     assert (found.swarms, found.missed) == (5, True), "a minimum that no swarm finds"
-    # values that a swarm cannot tell apart are as good as each other
-    f = np.array([300.0, 400.0])  # 500 Hz long, so sqrt(F) may differ by 0.25 Hz
+    # indistinguishable values
+    f = np.array([300.0, 400.0])  # norm 500 Hz, so sqrt(F) may differ by 0.25 Hz
     for value, other in ((0.06, 0.0), (100.0, 100.0), (1.0, 100.0)):
         assert noise_tasks.equally_good(value, other, f)
     assert not noise_tasks.equally_good(0.07, 0.0, f)
@@ -114,8 +112,7 @@ def test_the_posterior_is_that_of_the_list_without_noise(shared: Shared, reading
     weighted = SLOPE_HZ / perturbation_sd(EXACT, 0.01, reading)[:, None]
     exact = np.sqrt(np.diag(np.linalg.inv(weighted.T @ weighted)))
     assert found.converged
-    # 1000 effective draws: a mean to 0.032 sd, an sd to 2.2 %; four of these
-    assert np.all(np.abs(found.mean - [0.4, -0.3]) < 0.13 * exact)
+    assert np.all(np.abs(found.mean - [0.4, -0.3]) < 0.13 * exact)  # four errors of 1000 effective draws
     np.testing.assert_allclose(found.sd, exact, rtol=0.09)
     np.testing.assert_allclose(found.best, [0.4, -0.3], atol=1e-3)
     assert np.all(np.abs(found.skewness) < 0.3)
@@ -129,21 +126,19 @@ def test_spreads_to_first_order_are_those_of_both_estimators_and_of_inversions(s
     likelihood = np.sqrt(np.diag(np.linalg.inv(weighted.T @ weighted)))
     inverse = np.linalg.inv(SLOPE_HZ.T @ SLOPE_HZ)
     least_squares = np.sqrt(np.diag(inverse @ SLOPE_HZ.T @ (sd[:, None] ** 2 * SLOPE_HZ) @ inverse))
-    # the priors' width of 1.15 adds less than 1e-3 of these variances
-    np.testing.assert_allclose(found.linearised_sd, likelihood, rtol=1e-3)
+    np.testing.assert_allclose(found.linearised_sd, likelihood, rtol=1e-3)  # the priors add less than 1e-3
     np.testing.assert_allclose(found.swarm_sd, least_squares, rtol=1e-3)
     assert np.all(least_squares > likelihood)
     inverted = np.array([inversion(shared, 0.005, "rms", group).constants for group in range(60)])
     expected = posterior(shared, 0.005, "rms").swarm_sd
-    # an sd of 60 is known to 9 %, a mean to 0.13 sd; three of these
-    np.testing.assert_allclose(inverted.std(axis=0, ddof=1), expected, rtol=0.28)
+    np.testing.assert_allclose(inverted.std(axis=0, ddof=1), expected, rtol=0.28)  # three errors of 60 runs
     assert np.all(np.abs(inverted.mean(axis=0) - [0.4, -0.3]) < 0.39 * expected)
 
 
-# The whole study, short of convergence
+# the whole study, not converged
 CHAINS = EnsembleSettings(walkers=12, round_steps=60, most_steps=60)
 SHORT = {"source": "model", "swarm_settings": SwarmSettings(particles=12, iterations=40), "chains": CHAINS}
-# What the study tells of its progress.
+# Progress reported by the study.
 TOLD: list[tuple[int, int]] = []
 TWO_LEVELS = {**SHORT, "levels": (0.01, 0.05), "groups": 3}
 
@@ -161,8 +156,7 @@ def study(plate: Specimen) -> Sensitivity:
 def test_the_model_s_own_list_gives_its_constants_back(plate: Specimen) -> None:
     asked = {"source": "model", "levels": (1e-6,), "readings": ("rms",), "groups": 2, "chains": CHAINS}
     found = noise_study(plate, 0, **asked)
-    # nine in ten particles agree to 1e-3 of the intervals (190 GPa, 0.25), the best is much closer
-    np.testing.assert_allclose(found.reference, [69e9, 0.33], rtol=2e-3)
+    np.testing.assert_allclose(found.reference, [69e9, 0.33], rtol=2e-3)  # swarms agree to 1e-3 of 190 GPa
     np.testing.assert_allclose(found.cells[0].repetition.mean, [69e9, 0.33], rtol=2e-3)
 
 
@@ -173,8 +167,7 @@ def test_cells_come_level_by_level_and_progress_counts_all_tasks(study: Sensitiv
         assert (cell.repetition.constants.shape, cell.repetition.lists.shape) == ((3, 2), (3, 6))
         assert len(cell.comparisons) == 2
         np.testing.assert_allclose(cell.repetition.sd, cell.repetition.constants.std(axis=0, ddof=1))
-    # three inversions and a posterior at either level in either reading
-    assert [(i, 16) for i in range(1, 17)] == TOLD
+    assert [(i, 16) for i in range(1, 17)] == TOLD  # three inversions and a posterior per level and reading
 
 
 def test_other_levels_and_more_groups_do_not_change_a_level(plate: Specimen, study: Sensitivity) -> None:

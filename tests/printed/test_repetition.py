@@ -1,4 +1,4 @@
-"""Noise on lists of frequencies, eq. (12), and why repeated inversions and a posterior differ."""
+"""Noise on lists of frequencies, eq. (12), and differences between repeated inversions and a posterior."""
 
 from dataclasses import replace
 
@@ -21,8 +21,7 @@ def test_disorder_is_a_share_of_each_frequency_or_of_the_root_mean_square_for_al
     for reading in INTERPRETATIONS:
         rng, sd = np.random.default_rng(0), perturbation_sd(spread, 0.01, reading)
         lists = np.array([perturbed_list(spread, sd, rng).frequencies for _ in range(4000)])
-        # an sd of 4000 draws is known to 1.1 %, a mean to 1.6 % of the sd; four of these
-        np.testing.assert_allclose(lists.std(axis=0), sd, rtol=0.045)
+        np.testing.assert_allclose(lists.std(axis=0), sd, rtol=0.045)  # four standard errors of 4000 draws
         assert np.all(np.abs(lists.mean(axis=0) - spread) < 0.064 * sd)
 
 
@@ -39,12 +38,11 @@ def test_frequencies_that_would_not_be_positive_are_drawn_again_and_counted() ->
     rng, f = np.random.default_rng(2), np.array([10.0, 1000.0])
     found = [perturbed_list(f, perturbation_sd(f, 0.1, "rms"), rng) for _ in range(200)]
     assert all(one.frequencies[0] > 0.0 for one in found)
-    # 10 Hz are 0.14 of the standard deviation: a normal draw is below zero with P = 0.444, and
-    # P / (1 - P) draws are thrown away on average
+    # 10 Hz is 0.14 sd: a normal draw is below zero with P = 0.444, and P / (1 - P) are rejected
     assert np.mean([one.redrawn for one in found]) == pytest.approx(0.444 / 0.556, abs=0.4)
 
 
-# Ten inversions that agree with a posterior N(1, 0.1) far from its bounds.
+# Ten inversions in agreement with a posterior N(1, 0.1) far from its bounds.
 REPEATED = {"groups": 10, "repetition_mean": 1.02, "repetition_sd": 0.09, "repetition_at_bound": 0.0}
 SAMPLED = {"posterior_mean": 1.0, "posterior_sd": 0.1, "effective": 1000.0, "posterior_at_bound": 0.0}
 FORM = {"clusters": 1, "peaks": 1, "skewness": 0.1, "contraction": 0.1, "weighting": 1.0}
@@ -105,10 +103,8 @@ def test_both_tests_raise_a_false_alarm_in_one_per_cent_and_count_the_posterior_
     for x in rng.normal(1.0, 0.1, (4000, 10)):
         found = compare(replace(PLAIN, repetition_mean=float(x.mean()), repetition_sd=float(x.std(ddof=1))))
         alarms += (not found.means_agree, not found.sds_agree)
-    # binomial: 0.01 +- 0.0016; four of these
-    assert np.all(np.abs(alarms / 4000 - 0.01) < 0.0064)
-    # the mean of 4 effective draws is known to 0.05, that of ten inversions to 0.028: 0.12 is 2.1 of both
-    shifted = replace(PLAIN, repetition_mean=1.12)
+    assert np.all(np.abs(alarms / 4000 - 0.01) < 0.0064)  # binomial: 0.01 +- 0.0016; four of these
+    shifted = replace(PLAIN, repetition_mean=1.12)  # 0.05 by 4 effective draws, 0.028 by ten inversions
     assert not compare(replace(shifted, effective=1e6)).means_agree
     assert compare(replace(shifted, effective=4.0)).means_agree
 
@@ -127,12 +123,9 @@ def test_separate_peaks_of_a_mixture_are_counted_and_skewness_is_that_of_known_d
     z = rng.standard_normal(20_000)
     assert density_peaks(z) == 1
     assert density_peaks(np.r_[z[:10_000], 6.0 + z[10_000:]]) == 2
-    # unit Gaussians two apart have one peak in common
-    assert density_peaks(np.r_[z[:10_000], 2.0 + z[10_000:]]) == 1
-    # a second peak of a fiftieth of the draws is less than a tenth as high
-    assert density_peaks(np.r_[z[:19_600], 8.0 + z[19_600:]]) == 1
-    # flat, or piled up on bounds: as many as piles
-    u = rng.random(20_000)
+    assert density_peaks(np.r_[z[:10_000], 2.0 + z[10_000:]]) == 1  # two apart: a single peak
+    assert density_peaks(np.r_[z[:19_600], 8.0 + z[19_600:]]) == 1  # a peak less than a tenth as high
+    u = rng.random(20_000)  # flat, or piled up at bounds: as many as piles
     piles = (u, u**4, np.r_[u[:10_000] ** 4, 1.0 - u[10_000:] ** 4], np.ones(100))
     assert [density_peaks(x) for x in piles] == [1, 1, 2, 1]
 

@@ -1,4 +1,4 @@
-"""The fourteen tables as data: as many rows and values as are printed, and every misprint flagged."""
+"""The fourteen tables as data: all printed rows and values, and every misprint flagged."""
 
 from collections import Counter
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The question `calibrate`: what it asks of a plate, what it says of ranks."""
+"""The question `calibrate`: its requirements on a plate, and its statements about ranks."""
 
 import json
 
@@ -10,12 +10,10 @@ from cpam_bayes.calibration import N_DRAWS, Repetition, rank_statistics
 from cpam_bayes.questions.calibrate import CalibrationResult, _constants
 from tests.answers import answered
 
-# Of a repetition with ranks: what the chains and the model say of themselves.
-WELL = (True, True, 1.0, 5.0, 200.0, 400)
+WELL = (True, True, 1.0, 5.0, 200.0, 400)  # diagnostics of chains and model for a repetition with ranks
 
 
 def made_up(ranks):
-    """The answer to ranks (n, 2) that are made up."""
     below = [tuple((r + 0.5) / (N_DRAWS + 1)) for r in ranks]
     pairs = enumerate(zip(ranks, below, strict=True))
     pairs = enumerate(zip(ranks, below, strict=True))
@@ -29,7 +27,7 @@ def made_up(ranks):
 def test_intervals_that_are_too_narrow_are_flagged_and_right_ones_are_not():
     rng = np.random.default_rng(1)
     right = rng.integers(0, 100, 300)
-    # truths that lie outside half of the draws: ranks at both ends
+    # truths outside half of the draws: ranks at both ends
     narrow = np.where(rng.random(300) < 0.5, rng.integers(0, 10, 300), rng.integers(90, 100, 300))
     report = made_up(np.column_stack((right, narrow))).report()
     (table,) = report.summary.tables

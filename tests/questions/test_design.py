@@ -1,4 +1,4 @@
-"""What a list would say: closed forms, known physics, the swarm's own spread, refusals."""
+"""Expected information of a list: closed forms, known physics, the swarm's own spread, refusals."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ NOT_EXACT = {key: value for key, value in CARBON["plate"].items() if key != "sd"
 
 
 def test_a_supported_plate_gives_the_information_of_its_closed_form():
-    """All its modes go with E / (1 - nu^2): n of them are one number known n^(1/2) times better."""
+    """All its modes scale with E / (1 - nu^2): n of them are one number known n^(1/2) times better."""
     n, std, e, nu = 5, 0.004, 69.0, 0.33
     result = cb.design(SUPPORTED, layups=["[0]"], ratios=[1.5], edges=["SSSS"], modes=[n], relative_std=std)
     (candidate,) = result.candidates
@@ -42,8 +42,7 @@ def test_a_supported_plate_gives_the_information_of_its_closed_form():
 
 
 def test_information_is_of_a_normal_posterior_with_the_standard_deviations_of_the_swarm():
-    # about some constants it has the others integrated over
-    specimen = cb.read_plate(CARBON)
+    specimen = cb.read_plate(CARBON)  # information about some constants, the others integrated out
     prior = np.array([p.prior.sd for p in specimen.unknowns.parameters])
     response, test = response_of(cb.read_plate({**CARBON, "plate": NOT_EXACT}), 8), Test(0.002, 0.0)
     every = expected_information(response, 8, test, prior, np.ones(4, bool))
@@ -55,8 +54,7 @@ def test_information_is_of_a_normal_posterior_with_the_standard_deviations_of_th
     covariance = np.diag(f**2 * (0.002**2 + response.error**2)) + common @ common.T
     log_det = np.linalg.slogdet(s.T @ np.linalg.solve(covariance, s) + np.eye(4))[1]
     assert every.information == pytest.approx(0.5 * log_det, rel=1e-9)
-    # the standard deviations are those of the swarm for a list that fits
-    response = response_of(specimen, 8)
+    response = response_of(specimen, 8)  # the standard deviations are those of the swarm for a list that fits
     found = expected_information(response, 8, Test(0.003, 0.0), prior, np.ones(4, bool)).sd
     listed = {"frequencies_hz": response.frequencies.tolist(), "relative_std": 0.003}
     measurement = cb.read_plate({**CARBON, "measurement": listed}).measurement
@@ -90,8 +88,7 @@ def test_a_thickness_that_is_not_known_well_takes_its_share_and_so_does_a_clamp_
     uncertain = {**CARBON, "plate": {**CARBON["plate"], "sd": {**EXACT, "thickness_mm": 0.02}}}
     only = {"layups": ["[0_8]"], "ratios": [1.0], "edges": ["FFFF"], "modes": [8], "relative_std": 0.001}
     ((exact,), (blurred,)) = (cb.design(plate, **only).candidates for plate in (CARBON, uncertain))
-    # E1 goes with the square of the thickness, which is known to 2 %
-    expected = np.hypot(0.04, exact.expected.sd[0] / 121e9)
+    expected = np.hypot(0.04, exact.expected.sd[0] / 121e9)  # E1 ~ h^2, and h is known to 2 %
     assert blurred.expected.sd[0] / 121e9 == pytest.approx(expected, rel=0.1)
     assert blurred.information < exact.information
     several = cb.design(CARBON, **only | {"edges": ["FFFF", "CFFF"], "modes": [10], "relative_std": 0.002})
@@ -137,6 +134,6 @@ def test_any_number_of_workers_gives_the_same_answer():
     only = {"ratios": [1.0, 1.5], "edges": ["CFFF"], "modes": [4, 6]}
     here, there = cb.design("A1", **only), cb.design("A1", **only, executor="processes", workers=2)
     assert {**here.to_dict(), "seconds": 0} == {**there.to_dict(), "seconds": 0}
-    # the plate as it is stands among the candidates with its number of modes
+    # the plate as it is appears among the candidates with its number of modes
     (present,) = (candidate for candidate in here.to_dict()["candidates"] if candidate["is_present"])
     assert (present["length_mm"], present["edges"], present["modes"]) == (300.0, "FFFF", 6)

@@ -1,4 +1,4 @@
-"""What a diagnosis says, shows and writes, of lists whose truth is known."""
+"""The text, figures and files of a diagnosis, for lists with a known truth."""
 
 import json
 import re
@@ -70,7 +70,6 @@ def summary(d, **more):
 
 
 def table(d, title, **more):
-    """The rows of one table of the sections."""
     sections = diagnosis_result(d, 3, **more).report().sections
     (found,) = (t for s in sections for t in s.tables if t.title.startswith(title))
     return found.rows
@@ -109,7 +108,7 @@ def test_every_cause_has_a_probability_and_a_detection_limit(clean, misread):
         ranges = [h["probability_range"].values() for h in found["hypotheses"]]
         for probabilities in ([h["probability"] for h in found["hypotheses"]], *zip(*ranges, strict=True)):
             assert sum(probabilities) == pytest.approx(1.0, abs=1e-9)
-    # the constants imitate a clock that is off
+    # the constants imitate a wrong clock
     (told,) = (entry for entry in document(clean)["detectable"] if entry["cause"] == "frequency_scale")
     assert (told["smallest"], told["unit"], told["probability_of_claim"]) == (None, "%", 0.0)
 
@@ -127,7 +126,7 @@ def test_a_misread_frequency_is_named_with_its_size_its_check_and_what_it_depend
     assert summary(misread).next_step.lower() == effect.check.lower()
     two = replace(misread, claim=Claim("class", ("outlier", "viscoelastic"), 0.99))
     assert [row[0] for row in table(two, "Laboratory checks")] == [TITLES["outlier"], TITLES["viscoelastic"]]
-    # a claim that depends on assumed sizes is warned of
+    # a claim that depends on assumed sizes is flagged
     assert (misread.sensitivity.claim_stands, summary(misread).warnings) == (True, ())
     claims = (Claim("none", (), 0.6), Claim("class", ("outlier", "warp"), 0.95))
     other = replace(misread.sensitivity, claim_stands=False, claims=claims)
@@ -136,8 +135,7 @@ def test_a_misread_frequency_is_named_with_its_size_its_check_and_what_it_depend
 
 
 def test_constants_are_those_of_all_hypotheses_and_determined_where_noise_explains_the_misfit(clean, misread):
-    # 69 GPa made the list; the plain model is pulled off by the misread frequency
-    found = document(misread)
+    found = document(misread)  # the list was made with 69 GPa; the misread frequency biases the plain model
     plain, extended, e1 = (of["constants"]["E1_GPa"] for of in (found["baseline"], found["extended"], found))
     assert all(one["q025"] < 69.0 < one["q975"] for one in (extended, e1))
     assert abs(plain["mean"] - 69.0) > abs(extended["mean"] - 69.0)
@@ -149,8 +147,7 @@ def test_constants_are_those_of_all_hypotheses_and_determined_where_noise_explai
             assert (constant.value, constant.sd, *constant.interval) == d.averaged[constant.name]
     frame = diagnosis_result(misread, 3).to_dataframe("constants")
     assert frame["mean"].tolist() == [c["mean"] for c in found["constants"].values()]
-    # the misfit of the plain model alone takes nothing from the answer
-    bent = np.array(3 * [1.0, -1.0])
+    bent = np.array(3 * [1.0, -1.0])  # the misfit of the plain model alone takes nothing from the answer
     wrong = diagnosed([listed(aluminium_case(), 1.0 + 0.03 * bent)], [], gain=False)
     for d, claim, plain_explained, verdict in (
         (clean, "none", True, Verdict.DATA),
@@ -162,8 +159,7 @@ def test_constants_are_those_of_all_hypotheses_and_determined_where_noise_explai
     assert {c.verdict for c in fit_constants(misread, misread.baseline)} == {Verdict.MISFIT}
     (fit,) = (line for line in summary(wrong).lines if "Fit" in line)
     assert "stated repeatability" in fit
-    # where no noise is stated, what nothing explains is no estimate of it
-    case = listed(aluminium_case(), 1.0 + 0.07 * bent)
+    case = listed(aluminium_case(), 1.0 + 0.07 * bent)  # without stated noise a misfit is no estimate of it
     unstated = replace(case, measurement=replace(case.measurement, relative_std=None))
     open_ = diagnosed([unstated], [], gain=False)
     assert open_.claim.kind == "other"
@@ -206,7 +202,7 @@ def test_several_plates_have_one_object_each_and_share_their_constants(two_plate
 
 
 def test_hidden_errors_and_priors_of_families_causes_and_sizes_are_told(clean):
-    # f goes as the root of E: 1 % too high a clock is 2 % of E, and nothing of nu12
+    # f scales with the root of E: a clock 1 % too fast is 2 % of E, 0 of nu12
     (hidden,) = clean.hidden_causes
     assert hidden.name == "frequency_scale"
     _, unit, per_unit = absorbed_biases(clean, hidden)
@@ -217,8 +213,7 @@ def test_hidden_errors_and_priors_of_families_causes_and_sizes_are_told(clean):
     assert entry["bias_percent"]["E1_GPa"] == pytest.approx(entry["at"] * per_unit["E1_GPa"])
     ((title, size, *_),) = table(clean, "Errors that hide in the constants")
     assert (title, size) == (TITLES["frequency_scale"], "2 %")
-    # priors, of which a set is no family
-    priors = document(clean)["priors"]
+    priors = document(clean)["priors"]  # a set has no family among the priors
     assert (priors["none"], priors["other"]) == (0.5, 0.05)
     assert priors["families"]["size"]["frequency_scale"] > 0
     size = priors["effects"]["frequency_scale"]["frequency_deviation"]
@@ -250,7 +245,7 @@ def test_of_a_list_with_nothing_wrong_nothing_is_extended_and_the_intervals_are_
     numbers = ("noise", "thickness", "length", "width", "density", "frequency scale")
     assert all(number in contained for number in numbers)
     assert "Not contained" not in contained
-    # but not where the file contradicts itself
+    # but not if the file contradicts itself
     facts = {"gauged": (3.1e-3, 2e-5), "by_mass": (2.5e-3, 2.5e-5), "apart": 19.6, "taken": (2.85e-3, 3.1e-4)}
     contradicted = replace(result, notices=(Notice("thicknesses_apart", "slip", facts),))
     said = contradicted.report().summary
@@ -260,7 +255,6 @@ def test_of_a_list_with_nothing_wrong_nothing_is_extended_and_the_intervals_are_
 
 
 def with_causes(d, causes, claim):
-    """The diagnosis with further causes and another claim."""
     probability = {c.name: c.probability for c in causes}
     ranges = tuple({**probability, **before} for before in d.sensitivity.probabilities)
     sensitivity = replace(d.sensitivity, probabilities=ranges)
@@ -286,32 +280,29 @@ def test_every_claim_has_its_own_sentence_with_sizes_and_what_acts_beside_it(cle
     class_ = said(clean, "class", ("thickness", "density"), 0.95)
     assert all(part in class_ for part in (TITLES["thickness"], TITLES["density"], "0.950"))
     assert "no known error explains" in said(clean, "other", (), 0.97)
-    # undecided is of two kinds: what is wrong is open, or whether anything is
+    # undecided is of two kinds: open is either the error, or whether there is one
     what = said(misread, "undecided", ("outlier",), 0.4)
     assert what.startswith(f"Something is wrong ({probability_text(misread.something_wrong)})")
     assert TITLES["outlier"] in what
     assert "too weak to exclude" in said(clean, "undecided", ("viscoelastic",), 0.4)
-    # of what no cause explains alone the probable part is named
-    for inclusion, told in (
+    for inclusion, told in (  # if no single cause explains it, the probable part is named
         ({"sensor_mass": 0.85, "support": 0.1}, "explains by itself (0.970); part of it: added mass 0.85."),
         ({"sensor_mass": 0.4}, "explains (probability 0.970)."),
     ):
         monkeypatch.setattr(type(misread), "inclusion", inclusion)
         assert said(misread, "other", (), 0.97) == f"Something is wrong that no known error {told}"
-    # a probability that rounds to 0 or 1 is a bound
+    # a probability that rounds to 0 or 1 is shown as a bound
     texts = {1e-9: "< 0.001", 1 - 1e-9: "> 0.999", 0.5: "0.50", 0.962: "0.962"}
     assert {p: probability_text(p) for p in texts} == texts
     monkeypatch.undo()
-    # two errors at once, with their sizes
-    alone = next(c for c in clean.causes if c.name == "viscoelastic")
+    alone = next(c for c in clean.causes if c.name == "viscoelastic")  # two errors with their sizes
     name = "skew + viscoelastic"
     both = replace(alone, name=name, hypothesis=replace(alone.hypothesis, cause=name))
     claim = Claim("pair", ("skew", "viscoelastic"), 0.93)
     said = claim_sentence(with_causes(clean, (*clean.causes, both), claim))
     assert said.startswith("Two errors at once")
     assert all(part in said for part in (size_text(alone), "0.930"))
-    # what acts beside the claim
-    beside = {"warp + skew": 0.5, "warp + damage": 0.4}
+    beside = {"warp + skew": 0.5, "warp + damage": 0.4}  # further causes beside the claim
     two = tuple(replace(alone, name=name, probability=p) for name, p in beside.items())
     others = (replace(c, probability=0.0) for c in clean.causes if c.name != "warp")
     causes = (*others, replace(alone, name="warp", probability=0.05))
@@ -331,20 +322,16 @@ def test_every_claim_has_its_own_sentence_with_sizes_and_what_acts_beside_it(cle
 
 def test_what_is_said_turns_at_stated_limits(clean, misread):
     none, cause = (next(c for c in clean.causes if c.name == name) for name in ("none", "viscoelastic"))
-    # a Bayes factor of three for an error; nothing wrong has a prior of one half
-    open_ = Claim("undecided", ("viscoelastic",), 0.4)
+    open_ = Claim("undecided", ("viscoelastic",), 0.4)  # a Bayes factor of three; none has a prior of 1/2
     for factor, begun in ((2.9, "This test is too weak to exclude an error"), (3.1, "Perhaps something")):
         found = with_causes(clean, (replace(none, probability=1.0 / (1.0 + factor)),), open_)
         assert claim_sentence(found).startswith(begun)
-    # a cause is hidden where less than three tenths of it show
-    for visible, count in ((0.29, 1), (0.31, 0)):
+    for visible, count in ((0.29, 1), (0.31, 0)):  # hidden if less than three tenths are visible
         assert len(replace(clean, causes=(replace(cause, visible=visible),)).hidden_causes) == count
-    # and is checked from one in ten where nothing is claimed
-    for p, count in ((0.09, 0), (0.11, 1)):
+    for p, count in ((0.09, 0), (0.11, 1)):  # and is to be checked from one in ten if nothing is claimed
         found = with_causes(clean, (replace(cause, probability=p),), Claim("undecided", (), p))
         assert len(checked_effects(found)) == count
-    # a claim that one frequency in five overturns is warned of
-    for stable, count in ((0.79, 1), (0.81, 0)):
+    for stable, count in ((0.79, 1), (0.81, 0)):  # a claim that one frequency in five overturns is flagged
         found = replace(misread, gain=replace(misread.gain, stable=stable))
         assert sum(n.code == "single_frequencies" for n in diagnosis_notices(found)) == count
 
@@ -382,15 +369,14 @@ def test_the_test_that_decides_is_the_next_step_and_another_one_the_last(clean, 
     assert (best in first) == (max(chances) > 0.3)
     if max(chances) < 0.3:
         assert best in table(undecided, "Further steps", candidates=tests)[-1][0]
-    # each is shown with its information
-    told = document(clean, candidates=tests)["next_measurement"][0]
+    told = document(clean, candidates=tests)["next_measurement"][0]  # each is shown with its information
     assert (told["name"], told["information_nats"], told["possible_nats"]) == ("clamp", 1.42, 2.1)
     rows = table(clean, "Further tests", candidates=tests)
     assert ("clamp it", "1.42", "2.10", f"{100 * chances[0]:.0f} %") in rows
 
 
 def found(d, effect, values, *more):
-    """A diagnosis that claims an effect, more beside it, with these values of all parameters, each to 2 %."""
+    """A diagnosis that claims an effect with others beside it, all parameters having these values to 2 %."""
     parameters = tuple(p for e in (effect, *more) for p in e.parameters)
     own = {"cause": effect.name, "effects": (effect, *more), "parameters": parameters}
     hypothesis = replace(d.causes[0].hypothesis, unmodelled=(), listed=ListChange(), **own)
@@ -401,7 +387,6 @@ def found(d, effect, values, *more):
 
 
 def drawn(d):
-    """The dots and squares on the drawing of the plate."""
     top = diagnosis_result(d, 0).plot().subfigs[0].axes[0]
     squares = [patch for patch in top.patches if isinstance(patch, Rectangle)]
     return [line for line in top.lines if line.get_marker() == "o"], squares
@@ -428,7 +413,7 @@ def test_what_was_found_is_told_and_drawn_where_it_was_with_its_images(misread):
     assert [drawing.name for drawing in diagnosis_result(d, 0).drawings()][:2] == ["plate", "residuals"]
     dots, _ = drawn(d)
     assert rounded(line.get_xydata()[0] for line in dots) == rounded(places)
-    # two masses, each where it was
+    # two masses, each at its place
     both = found(misread, effect, (0.005, 0.8, 0.6, 0.006, 0.002, 0.7, 0.9, 0.004), effect.again())
     own, other = claim_sentence(both).split(";")
     assert f"near ({x:.0f}, {y:.0f})," in own
@@ -436,14 +421,12 @@ def test_what_was_found_is_told_and_drawn_where_it_was_with_its_images(misread):
     dots, _ = drawn(both)
     filled = [pytest.approx(tuple(line.get_xydata()[0])) for line in dots if line.get_mfc() != "none"]
     assert filled == [(x, y), (0.7 * a, 0.9 * b)]
-    # of a square of metal there are eight
-    square = replace(specimen, plate=replace(plate, length=plate.width))
+    square = replace(specimen, plate=replace(plate, length=plate.width))  # a square of metal has eight
     facts = replace(case.models.facts, length=plate.width)
     models = replace(case.models, specimen=square, facts=facts)
     said = claim_sentence(replace(d, cases=(replace(case, models=models),)))
     assert "mm or one of its 7 images, +- " in said
-    # a missing corner is drawn with the others
-    (outline,) = (e for e in CATALOGUE if e.drawn == "corner")
+    (outline,) = (e for e in CATALOGUE if e.drawn == "corner")  # a missing corner is drawn too
     d = found(misread, outline, (0.002,))
     said = claim_sentence(d)
     assert "Corner missing, 0.2000 +- 0.0040 % of the area (at x = length, y = width" in said
@@ -484,11 +467,10 @@ def test_fits_constants_causes_limits_and_signatures_are_drawn(misread):
     claims = dict(zip(labels, needed.get_xdata(), strict=True))
     assert (claims.pop("nothing wrong"), set(claims.values())) == (0.5, {0.9})
     assert TITLES["outlier"] in claims
-    # no signature of what is hidden
+    # no signature of a hidden cause
     signatures = {text.get_text() for text in figures["signatures"].axes[0].get_xticklabels()}
     assert signatures == {TITLES["outlier"], TITLES["viscoelastic"]}
-    # detection limits are points at their sizes
-    axes = figures["detectable"].axes[0]
+    axes = figures["detectable"].axes[0]  # detection limits are points at their sizes
     labels = [text.get_text() for text in axes.get_yticklabels()]
     rows = {row.title: row for row in detectable_rows(misread)}
     assert set(labels) == set(rows)
@@ -518,12 +500,11 @@ def test_the_prior_of_none_is_an_option_and_the_others_keep_their_proportions(ru
         assert document["priors"]["none"] == prior
         assert {h["cause"] for h in document["hypotheses"]} == CHEAP
         assert document["next_measurement"] == []
-        # air in the file is part of the model
-        assert document["air_density_kg_m3"] == {"plate 7": 1.2}
+        assert document["air_density_kg_m3"] == {"plate 7": 1.2}  # air in the file is part of the model
         assert 0.0 < document["basis_error"] < 1e-4
     before, after = ({h["cause"]: h["prior"] for h in d["hypotheses"]} for d in (as_is, other))
     ratios = [after[name] / before[name] for name in before if name != "none"]
     assert ratios == pytest.approx([0.2] * len(ratios))
-    # odds change as the priors do, but for the hypotheses that a first look then suffices for: 0.1 nats
+    # odds follow the priors, except for hypotheses for which a first look then suffices: 0.1 nats
     odds = [next(h["probability"] for h in d["hypotheses"] if h["cause"] == "none") for d in (as_is, other)]
     assert odds[1] / (1 - odds[1]) == pytest.approx(9 * odds[0] / (1 - odds[0]), rel=0.15)

@@ -1,4 +1,4 @@
-"""What every command shows: at most 12 lines and 120 words besides rows asked for, and its figures."""
+"""First screens: at most 12 lines and 120 words beside requested rows, and their figures."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from tests.answers import EVERY, QUICK, SLOW, answered
 
 
 def size(summary):
-    """Lines and words of a screen; a table with a title holds rows that were asked for."""
+    """Lines and words of a screen; a titled table contains requested rows."""
     said = [summary.title, *summary.slips, *summary.headline.splitlines(), *summary.lines, summary.next_step]
     own = [table for table in summary.tables if table.rows and not table.title]
     cells = [" ".join(row) for table in own for row in (table.headings or (), *table.rows)]

@@ -19,7 +19,6 @@ from tests.plate_file import BAR, described, refused
 
 @pytest.fixture(scope="module")
 def carbon():
-    """Three modes of three labels."""
     result = cb.forward("C1", 3)
     assert len({mode.label for mode in result.modes}) == 3
     return result
@@ -35,7 +34,6 @@ def with_list(result, *labels, factor=1.01, complete=True):
 
 
 def paired(result):
-    """Measured frequency over the computed one, and how the two were paired."""
     return [
         (m["measured_hz"] and round(m["measured_hz"] / m["frequency_hz"], 6), m["paired_by"])
         for m in result.to_dict()["modes"]
@@ -56,8 +54,7 @@ def test_a_label_puts_a_frequency_beside_its_mode_and_the_others_in_order(carbon
     gaps = with_list(carbon, third, "", complete=False)
     assert paired(gaps) == paired(alone)
     assert any("stands beside no mode" in said for said in gaps.report().summary.lines)
-    # a label of no computed mode is warned of
-    measurement = unlabelled.specimen.measurement
+    measurement = unlabelled.specimen.measurement  # a label of no computed mode is flagged
     assert label_notices(measurement, carbon.modes) == ()
     (said,) = label_notices(replace(measurement, labels=("(9,9)", "", "")), carbon.modes)
     assert said.facts["labels"] == (("(9,9)", measurement.frequencies[0]),)
@@ -74,26 +71,22 @@ def test_a_difference_beyond_all_constants_is_a_factor(carbon):
 
 
 def handling(edges, n):
-    """Where to hold and to hit a slender aluminium strip for its first modes."""
+    """Where to support and to hit a slender aluminium strip for its first modes."""
     material = {"isotropic": True, "E1_GPa": 70.0, "nu12": 0.0}
     return cb.forward(described((300.0, 20.0, 2.0), 2700.0, material, edges=edges), n).handling
 
 
 def test_a_strip_is_held_on_the_nodal_lines_of_its_first_mode_and_hit_where_all_modes_move():
-    # nodes of the first mode of a free beam at 0.2242 of its length; the grid has 40 steps
-    alone = handling("FFFF", 1)
+    alone = handling("FFFF", 1)  # first nodes of a free beam at 0.2242 of its length; the grid has 40 steps
     (mode,) = alone.modes
     assert (mode.across, mode.lines) == ("x", pytest.approx((67.3, 232.7), abs=300 / 80))
-    # the first mode moves 0.7678 of its end there
-    assert mode.at_hit == pytest.approx(0.7678, abs=1e-3)
+    assert mode.at_hit == pytest.approx(0.7678, abs=1e-3)  # there the first mode moves by 0.7678 of its end
     assert sorted({x for x, _ in alone.pads}) == pytest.approx(mode.lines)
     several = handling("FFFF", 4)
-    # at 0.05 of its length, the grid point next to the end, the fourth mode of a beam moves 0.302 of its end,
-    # the first three move more; the place that was chosen is no worse
+    # at the grid point next to the end the fourth mode moves 0.302 of its end, the first three more
     assert min(m.at_hit for m in several.modes) >= 0.302
     assert "four soft pads" in several.sentence
-    # a clamped strip needs no pads and is hit at its free end
-    held = handling("CFFF", 2)
+    held = handling("CFFF", 2)  # a clamped strip needs no pads and is hit at its free end
     assert held.pads == ()
     assert held.hits[0][0] > 270
     assert "pads" not in held.sentence
@@ -102,12 +95,11 @@ def test_a_strip_is_held_on_the_nodal_lines_of_its_first_mode_and_hit_where_all_
 def test_thickness_mass_and_density_that_disagree_are_warned_of():
     plate = described((300.0, 200.0, 3.0), 2700.0, {"isotropic": True, "E1_GPa": 70.0, "nu12": 0.33})
     assert not cb.forward(plate, 1).notices
-    plate["plate"]["mass_g"] = 437.0  # of 486
+    plate["plate"]["mass_g"] = 437.0  # instead of 486
     (said,) = cb.forward(plate, 1).notices
     assert (said.code, said.severity) == ("thicknesses_apart", "slip")
     assert cb.forward(plate, 1).report().summary.next_step.startswith("gauge and weigh the plate again")
-    # frequencies far from the list are no sign of other units then
-    plate["measurement"] = {"frequencies_hz": [4e3]}
+    plate["measurement"] = {"frequencies_hz": [4e3]}  # then a distant list does not suggest other units
     assert [notice.code for notice in cb.forward(plate, 1).notices] == ["thicknesses_apart"]
     del plate["plate"]["mass_g"]
     assert [notice.code for notice in cb.forward(plate, 1).notices] == ["units"]
@@ -115,8 +107,6 @@ def test_thickness_mass_and_density_that_disagree_are_warned_of():
 
 @pytest.fixture
 def with_mesh(tmp_path, plate_file):
-    """Write a mesh and a plate file that names it, and return the plate file's path."""
-
     def write(quads, weight="density_kg_m3 = 2700"):
         quads.write(tmp_path / "plate.msh")
         return Path(plate_file(("density_kg_m3 = 2700", f'mesh = "plate.msh"\n{weight}'), text=BAR))
@@ -125,7 +115,6 @@ def with_mesh(tmp_path, plate_file):
 
 
 def answer(run, *argv):
-    """The document of a command that has nothing to complain about."""
     status, out, err = run(*argv, "--json", "--quiet")
     assert (status, err) == (0, "")
     return json.loads(out)
@@ -140,8 +129,6 @@ def kinds(document):
 
 
 def holed():
-    """200 x 100 mm with an elliptic hole in the middle."""
-
     def f(r, a):
         angle = 2 * np.pi * a
         square = np.maximum(np.abs(np.cos(angle)), np.abs(np.sin(angle)))
@@ -154,7 +141,7 @@ def holed():
 def test_elements_and_ritz_agree_with_kinds_and_labels(run):
     elements, ritz = (answer(run, "forward", "A1", "--solver", solver) for solver in ("fem", "ritz"))
     assert kinds(elements) == kinds(ritz)
-    # each says how far it may be off, and they are not further apart
+    # each states its possible error, and the difference is within both
     apart = np.abs(frequencies(elements) / frequencies(ritz) - 1.0)
     assert np.all(apart < elements["relative_error_estimate"] + ritz["relative_error_estimate"])
     assert elements["solver"].startswith("finite elements")
@@ -176,14 +163,13 @@ def test_a_plate_with_a_mesh_is_computed_with_elements_whose_error_is_said_to_be
 
 def test_a_holed_plate_that_was_weighed_is_denser_than_its_rectangle(run, with_mesh):
     path = with_mesh(holed(), weight="mass_g = 100.0")
-    # 20000 mm2 less an ellipse of 40 x 20 mm, 32 chords round
-    area = 20000.0 - 16 * np.sin(np.pi / 16) * 40 * 20
+    area = 20000.0 - 16 * np.sin(np.pi / 16) * 40 * 20  # mm2, minus an ellipse of 40 x 20 mm with 32 chords
     result = cb.forward(path, 4)
     assert f"{0.1 / (area * 1e-6 * 3e-3):.6g} kg/m3 from the weighed mass, 100 g" in result.summary(
         verbose=True
     )
     assert result.plot("modes").axes
-    # it has no sensor over its hole, and a mesh in metres is no plate
+    # a sensor cannot be in the hole, and a mesh in metres is no plate
     path.write_text(path.read_text() + "[[sensor]]\nmass_g = 1.0\nx_mm = 100.0\ny_mm = 50.0\n")
     refused(run("forward", path, "--quiet"), "point (x, y) = (0.1, 0.05) m is not on the plate's mesh")
     path = with_mesh(rectangle(0.2, 0.1, 4, 2))
@@ -226,8 +212,7 @@ def test_export_writes_a_deck_of_each_element(run, tmp_path, element, kind, sect
     assert all(card in text for card in (f"*ELEMENT, TYPE={kind}", section))
     nodes = text.partition("*NODE, NSET=ALL\n")[2].partition("\n*")[0].splitlines()
     blocks = re.findall(r"^\*ELEMENT, TYPE=.*\n((?:[^*].*\n)+)", text, re.M)
-    # an element is a line, or two where it has more than 15 nodes
-    lines = sum(block.count("\n") for block in blocks)
+    lines = sum(block.count("\n") for block in blocks)  # one line, or two for more than 15 nodes
     counts = (len(nodes), lines // (1 if element == "shell" else 2))
     assert (document["nodes"], document["elements"]) == counts
     assert (document["path"], document["element"], document["element_type"]) == (str(path), element, kind)

@@ -1,4 +1,4 @@
-"""`identify` by the swarm: what is determined, what ruins the answer, and what to check first."""
+"""`identify` by the swarm: determined constants, ruinous errors, and first checks."""
 
 import json
 import math
@@ -30,7 +30,6 @@ def with_estimate(point, **changes):
 
 
 def with_constants(point, n, **changes):
-    """The result with its first n constants changed."""
     own = point.estimate.constants
     return with_estimate(point, constants=(*(replace(c, **changes) for c in own[:n]), *own[n:]))
 
@@ -41,7 +40,6 @@ def with_measurement(point, **changes):
 
 
 def cells(result, title):
-    """The rows of a table behind the answer by their first cell."""
     tables = (t for section in result.report().sections for t in section.tables if t.title == title)
     return {row[0]: row for table in tables for row in table.rows}
 
@@ -122,7 +120,7 @@ def test_a_wrong_thickness_is_the_first_line_of_the_screen(factor, side):
     result = identify(with_plate("A1", thickness=wrong), seed=0)
     first = result.report().summary.slips[0]
     assert f"far {side} the reference" in first
-    (e1, _) = result.estimate.alone  # the reference does not count in what is compared with it
+    (e1, _) = result.estimate.alone  # the reference is not used in a comparison with it
     right = 1e3 * wrong * (e1.value / 69e9) ** 0.5
     assert f"a thickness of {right:.2f} mm instead of {1e3 * wrong:g} mm" in first
     assert abs(right * factor / (1e3 * wrong) - 1.0) < 0.02
@@ -141,7 +139,7 @@ def test_unknown_angles_come_with_the_constants_of_the_sequence_that_is_found():
     found, text = result.to_dict(), result.summary(verbose=True)
     assert len(found["angles_deg"]) == 2
     assert set(found["angles_deg"]) <= {-60.0, -30.0, 0.0, 30.0, 60.0, 90.0}
-    # the swarm may stop at a lesser sequence: the constants are those of what it says
+    # the swarm may stop at a lesser sequence: the constants belong to the one reported
     known = replace(own.plate, layup=own.plate.layup.with_angles(found["angles_deg"]))
     again = identify(replace(own, plate=known), settings=short).to_dict()
     assert again["constants"] == found["constants"]

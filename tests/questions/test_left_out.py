@@ -1,4 +1,4 @@
-"""An accelerometer of 5 % of the plate's mass that the plate file leaves out: no screen is calm about it."""
+"""An accelerometer of 5 % of the plate's mass, missing in the plate file, raises a warning everywhere."""
 
 from pathlib import Path
 
@@ -16,13 +16,11 @@ SD = {"E1_GPa": 12.0, "E2_GPa": 0.93, "nu12": 0.03, "G12_GPa": 0.63}
 CONSTANTS = {"E1_GPa": TRUE_E1, "E2_GPa": 9.34, "nu12": 0.23, "G12_GPa": 6.25, "sd": SD}
 UNKNOWNS = {"E1_GPa": [50, 200], "E2_GPa": [5, 20], "nu12": [0.15, 0.4], "G12_GPa": [3, 12]}
 PLATE = described((260.0, 190.0, 3.2), 1590.0, CONSTANTS, layup="[(0/90)_8]_s", unknowns=UNKNOWNS)
-# 12.6 g on a plate of 251 g
-SENSOR = {"mass_g": 12.6, "x_mm": 190.0, "y_mm": 130.0}
+SENSOR = {"mass_g": 12.6, "x_mm": 190.0, "y_mm": 130.0}  # 12.6 g on a plate of 251 g
 
 
 @pytest.fixture(scope="module")
 def loaded():
-    """Frequencies of the plate with the accelerometer, Hz."""
     return cb.forward({**PLATE, "sensor": [SENSOR]}, n_modes=8).frequencies
 
 
@@ -47,8 +45,7 @@ def test_diagnose_leads_with_it_in_exact_frequencies_and_is_not_calm_in_noise(lo
     found = cb.diagnose(without_sensor(noisy), next_test="never")
     summary = found.report().summary
     if not noise:
-        # eight frequencies without a stated noise: a mass of another form than a point may be a misreading
-        assert found.causes[0] == "sensor_mass"
+        assert found.causes[0] == "sensor_mass"  # eight frequencies, no stated noise: it may look misread
         assert found.claim in ("named", "class")
         said = summary.headline.lower()
         assert "something heavy was on the plate" in said or "added mass" in said
@@ -59,7 +56,7 @@ def test_diagnose_leads_with_it_in_exact_frequencies_and_is_not_calm_in_noise(lo
 
 
 def test_a_misfit_of_several_times_the_stated_noise_is_the_first_line(run, tmp_path):
-    """One frequency with two digits swapped: the misfit is far below what a list of a wrong plate leaves."""
+    """One frequency with two digits exchanged: the misfit is far below that of a wrong plate."""
     path, text = tmp_path / "panel.toml", PANEL.read_text("utf-8")
     for listed, expected in ((text, False), (text.replace("310.2", "301.2"), True)):
         path.write_text(listed, "utf-8")

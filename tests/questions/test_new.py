@@ -1,4 +1,4 @@
-"""A new plate file is a good one, or says all that it lacks; at a terminal `new` asks, and asks again."""
+"""A new plate file is valid or lists what it lacks; at a terminal `new` asks until the answer is valid."""
 
 import io
 import json
@@ -39,8 +39,7 @@ def test_a_file_of_a_plate_that_is_known_is_read_as_it_is(run, tmp_path, materia
     assert list(specimen.unknowns.names) == list(own.constants)
     for parameter in specimen.unknowns.parameters:
         assert parameter.prior.lower < own.complete()[parameter.name] < parameter.prior.upper
-    # nothing is stated of the plate that was not told
-    assert (specimen.air_density, specimen.sensors, dict(plate.sd)) == (None, (), {})
+    assert (specimen.air_density, specimen.sensors, dict(plate.sd)) == (None, (), {})  # only what was given
     assert "ten places" not in path.read_text(encoding="utf-8")
 
 
@@ -74,7 +73,7 @@ def test_what_is_not_known_is_said_and_stands_in_comments_that_fill_the_gaps(pat
     assert len(caught.value.problems) == len(keys)
     lines = new.text.splitlines()
     filled = [line[2:] if line.startswith("# ") and " = " in line else line for line in lines]
-    # of two ways to give frequencies a file takes one, and a list of sd or sensors needs its head
+    # a file takes one of two ways to give frequencies, and a list of sd or sensors needs its head
     text = "\n".join(line for line in filled if not line.startswith("table"))
     for head in ("[plate.sd]", "[[sensor]]", "[environment]"):
         text = text.replace(f"# {head}", head)
@@ -102,15 +101,13 @@ ANSWERS = (
 
 
 class Terminal(io.StringIO):
-    """Lines as they are typed."""
-
     def isatty(self):
         return True
 
 
 @pytest.fixture
 def asked(run, path, monkeypatch):
-    """Run `new` where these lines are typed: status, standard output and error, and what was not read."""
+    """Run `new` with these lines typed: status, standard output and error, and the unread lines."""
 
     def answering(*lines, argv=()):
         terminal = Terminal("".join(f"{line}\n" for line in lines))
@@ -138,7 +135,7 @@ def test_the_answers_are_the_plate_and_the_file_that_of_the_options(run, asked, 
     assert other.read_text("utf-8") == path.read_text("utf-8")
 
 
-# Wrong answers to a question and what is said of them.
+# Wrong answers to a question, and the messages.
 NUMBERS, SIZES = "accepted: numbers with spaces", "accepted: length, width and thickness"
 TYPED = ("80,146", "80,146,218", "80,2 146.3")
 WRONG = {
@@ -165,8 +162,7 @@ def test_what_cannot_be_is_asked_again_and_back_ends_at_the_first_question(asked
         assert found, before
     read = cb.read_plate(path)
     assert (read.plate.mass, read.plate.edges, read.measurement.size) == (0.3407, "FFFF", 3)
-    # back passes over what was not asked
-    path.unlink()
+    path.unlink()  # back skips questions that were not asked
     in_cm = ("31 22.8 0.31", "340.7", "<")
     status, _, err, _ = asked("<", *in_cm, "300 280 3", "680", "metal", "<", *ANSWERS[2:])
     assert status == 0
@@ -198,7 +194,7 @@ def test_a_metal_has_no_layup_and_a_table_no_list(run, asked, path, tmp_path):
     path.unlink()
     assert run("new", path, *of_table, *metal)[0] == 0
     assert cb.read_plate(path).measurement.frequencies.tolist() == [80.2, 146.3]
-    # where to hold and to hit is said as soon as the plate is known
+    # advice on where to support and hit appears as soon as the plate is known
     assert cb.new(tmp_path / "size.toml", size_mm=(300, 200, 3)).handling is None
     sheet = {"material": "metal", "constants": (69.0, 0.33), "edges": "FFFF"}
     known = cb.new(tmp_path / "known.toml", size_mm=(300, 200, 3), mass_g=486, **sheet)
@@ -213,8 +209,7 @@ def test_an_end_of_the_answers_writes_nothing_and_a_script_is_asked_nothing(aske
         assert (status, err) == (0, "")
         assert left.startswith(ANSWERS[0])
         path.unlink()
-    # empty lines leave all open
-    assert asked(*[""] * 11)[0] == 0
+    assert asked(*[""] * 11)[0] == 0  # empty lines leave everything open
     text = path.read_text("utf-8")
     path.unlink()
     assert cb.new(path).text == text

@@ -33,7 +33,7 @@ def responses(noise=1e-3, n_responses=2, seed=0):
 
 
 def assert_known(modes, within=4.0, rtol=0.0):
-    """The five modes, each within so many standard deviations; a wrong one in 3000 at four of ten."""
+    """Check the five modes within this many standard deviations; at four, one in 3000 fails by chance."""
     assert len(modes) == len(FREQUENCIES)
     for mode, f, damping in zip(modes, FREQUENCIES, DAMPING, strict=True):
         assert abs(mode.frequency - f) < within * mode.sd + rtol * f
@@ -43,25 +43,23 @@ def assert_known(modes, within=4.0, rtol=0.0):
 def test_poles_without_noise_are_exact_and_the_close_pair_is_two():
     data = responses(noise=1e-6)
     modes = fit_poles(data, stabilise(data, 20.0, 390.0, 40).candidates)
-    # the polynomial that stands for modes outside a band leaves some 1e-5 of a frequency
+    # the polynomial for modes outside the band leaves about 1e-5 of a frequency
     np.testing.assert_allclose([m.frequency for m in modes], FREQUENCIES, rtol=1e-5)
     np.testing.assert_allclose([m.damping for m in modes], DAMPING, rtol=5e-3)
-    # where a neighbour is louder a peak is off its pole
-    s = eigenvalues(np.array([190.0, 200.0]), np.array([0.01, 0.01]))
+    s = eigenvalues(np.array([190.0, 200.0]), np.array([0.01, 0.01]))  # a louder neighbour shifts a peak
     frf = accelerance(LINES, s, np.array([[-3.0, 1.0]]) / (2j * s.imag))
     data = FrequencyResponses(LINES, frf, 0.0, "synthetic")
     _, weak = fit_poles(data, stabilise(data, 100.0, 300.0, 20).candidates)
     assert weak.frequency == pytest.approx(200.0, abs=1e-3)
-    assert weak.peak == 198.5  # most of its half width of 2 Hz away
+    assert weak.peak == 198.5  # by most of its half width of 2 Hz
 
 
 @pytest.mark.parametrize(
     ("n_tests", "n_responses", "least", "inside"),
     [
-        (6, 3, 0.9, 0.84),  # 40 poles: 0.95 less three standard errors
+        (6, 3, 0.9, 0.84),  # 40 poles: 0.95 minus three standard errors
         pytest.param(100, 3, 0.95, 0.92, marks=[pytest.mark.slow, pytest.mark.weekly]),
-        # one response tells a pair from one mode less well
-        pytest.param(100, 1, 0.95, 0.90, marks=pytest.mark.slow),
+        pytest.param(100, 1, 0.95, 0.90, marks=pytest.mark.slow),  # one response separates a pair less well
     ],
 )
 def test_poles_lie_within_their_standard_deviations_in_95_of_100(n_tests, n_responses, least, inside):
@@ -83,7 +81,6 @@ def test_poles_lie_within_their_standard_deviations_in_95_of_100(n_tests, n_resp
 
 
 def written_universal(path, data, binary):
-    """Accelerations over a force, even steps, double precision."""
     common = {"func_type": 4, "rsp_dir": 3, "ref_node": 1, "ref_dir": 3, "binary": binary}
     common |= {"abscissa_spec_data_type": 18, "ordinate_spec_data_type": 12, "orddenom_spec_data_type": 13}
     common |= {"rsp_ent_name": "", "ref_ent_name": "", "abscissa_spacing": 1, "x": data.frequencies}
@@ -98,7 +95,7 @@ def tapped(tmp_path_factory):
     return cb.poles(path, order=40)
 
 
-# pyuff leaves the file open that it writes binary data to
+# pyuff does not close a file to which it writes binary data
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_datasets_58_are_read(tapped, tmp_path):
     assert tapped.test.responses.origin == "dataset 58, 2 responses"
@@ -132,7 +129,7 @@ RATE, SECONDS = 4000, 2.0
 
 
 def hits(n):
-    """Force and response of hits one after the other, half sines of 2 ms on a plate of the known modes."""
+    """Force and response of successive hits, half sines of 2 ms on a plate with the known modes."""
     rng, t = np.random.default_rng(0), np.arange(int(RATE * SECONDS)) / RATE
     s = eigenvalues(FREQUENCIES, DAMPING)
     impulse = np.sum(np.array([1.0, 0.8, -0.9, 1.1, 0.7])[:, None] * np.exp(s[:, None] * t).imag, axis=0)
@@ -161,12 +158,11 @@ OVER_FORCE = "4 hits of 1.99 s, 1 response over force (channel 1, a pulse of 1.8
 @pytest.mark.parametrize(
     ("asked", "n_files", "origin", "rtol"),
     [
-        # the samples of a decay and of its window are those of the plate to 1e-4
-        (FREE | {"force": 1}, 1, OVER_FORCE, 1e-4),
+        (FREE | {"force": 1}, 1, OVER_FORCE, 1e-4),  # samples of decay and window are accurate to 1e-4
         (FREE | {"force": 1}, 4, OVER_FORCE, 1e-4),
         (FREE | {"force": 1, "window": "exponential"}, 1, OVER_FORCE, 1e-4),
-        ({}, 1, OVER_FORCE, 1e-4),  # a channel that is a pulse is the force
-        (FREE, 1, "free decays", 2e-4),  # the force that is left out is smooth over a peak
+        ({}, 1, OVER_FORCE, 1e-4),  # a pulse-shaped channel is the force
+        (FREE, 1, "free decays", 2e-4),  # the missing force is smooth over a peak
     ],
 )
 def test_recorded_hits_give_the_poles_and_a_window_adds_no_damping(tmp_path, asked, n_files, origin, rtol):
@@ -332,7 +328,6 @@ def codes(result):
 
 
 def told(result, code, fact):
-    """One fact of each notice of a code."""
     return [notice.facts[fact] for notice in result.notices if notice.code == code]
 
 
@@ -340,11 +335,10 @@ def test_a_folder_of_hits_is_one_table_with_the_scatter_of_its_hits(tmp_path):
     result = of_hits(tmp_path, recorded(3, 6, Faults(drift=0.002)))
     assert_found(result, 0.003)
     assert {mode.hits for mode in result.modes} == {6}
-    # 0.2 % over sqrt(6), enlarged by t / 1.96 of five degrees of freedom, and chance of six values
+    # 0.2 % over sqrt(6), times t / 1.96 with five degrees of freedom, and the chance of six values
     sd = np.array([mode.sd / mode.frequency for mode in result.modes])
     assert 0.4 < np.sqrt(np.mean(sd**2)) / (0.002 / np.sqrt(6.0) * 2.571 / 1.96) < 1.7
-    # modes that drift by two per cent are one each and are named
-    drifting = tmp_path / "drifting"
+    drifting = tmp_path / "drifting"  # modes that drift by two per cent are single modes and are named
     drifting.mkdir()
     result = of_hits(drifting, recorded(6, 4, Faults(drift=0.008)))
     assert_found(result, 0.02)
@@ -367,13 +361,11 @@ def test_hum_is_no_mode_and_found_beside_a_second_stroke_and_a_mode_at_the_mains
     assert not any(abs(mode.frequency - f) < 1.0 for mode in result.modes for f in (50.0, 150.0))
     (peaks,) = told(result, "peaks_without_pole", "peaks")
     assert all(is_of_mains(f, result.test.responses.step) for f in peaks)
-    # beside a second stroke; a mode at the mains was silent before its hit
-    for stroke in (None, 0.045, 0.3):
+    for stroke in (None, 0.045, 0.3):  # also with a second stroke; a mode is silent before its hit
         (record,) = recorded(5, 1, Faults(hum=0.1, second_stroke=stroke), above=())
         (notice,) = hum_notices(RATE_OF_HITS, record[None].astype(float))
         assert notice.facts["mains"] == 50.0
-        # 50 and 150 Hz of 0.1 each
-        assert notice.facts["size"] == pytest.approx(0.1 * np.sqrt(2.0), rel=0.25)
+        assert notice.facts["size"] == pytest.approx(0.1 * np.sqrt(2.0), rel=0.25)  # 50 and 150 Hz, 0.1 each
     frequency, damping, rng = np.array([50.0]), np.array([1e-3]), np.random.default_rng(0)
     (decay,) = recorded_hits(rng, frequency, damping, 1, Faults(drift=0.0), above=())
     for sooner, found in ((0.0, True), (0.05, False)):
@@ -400,7 +392,7 @@ def test_a_force_through_an_ac_coupling_has_its_lines(tmp_path):
     decay = recorded(5, 1)[0].astype(float)
     t = np.arange(len(decay)) / RATE_OF_HITS
     pulse = np.exp(-0.5 * ((t - 0.01) / 2e-4) ** 2)
-    # a high pass of first order at 1 Hz: what lies below is taken from the pulse
+    # a first-order high pass at 1 Hz: the part below is subtracted from the pulse
     below = 2.0 * np.pi / RATE_OF_HITS * np.convolve(pulse, np.exp(-2.0 * np.pi * t))[: len(t)]
     channels = np.stack((2e4 * (pulse - below), decay), axis=1).astype(np.int16)
     wavfile.write(tmp_path / "coupled.wav", RATE_OF_HITS, channels)
@@ -502,7 +494,7 @@ def test_what_shows_in_double_hits_alone_is_of_the_second_hit():
     each = ((mode, ripple, weak), (mode, weak), (mode, weak))
     taken = [pole.taken for pole in modes_of_hits(each, 0.5, (True, False, False))]
     assert taken == [Taken.MODE, Taken.SECOND_HIT, Taken.WEAK]
-    # where the hammer struck all hits twice, none tells the ripples
+    # if all hits have a second stroke, none reveals the ripples
     assert Taken.SECOND_HIT not in {pole.taken for pole in modes_of_hits(each, 0.5, (True, True, True))}
 
 
@@ -518,5 +510,4 @@ def test_noise_of_the_force_is_a_part_of_the_standard_deviations(tmp_path):
             known = int(np.argmin(np.abs(PLATE - mode.frequency)))
             errors.append(abs(mode.damping - DAMPED[known]) / mode.damping_sd)
     assert len(errors) > 36
-    # 0.95 less three standard errors of 40
-    assert np.mean(np.array(errors) < 1.96) > 0.84
+    assert np.mean(np.array(errors) < 1.96) > 0.84  # 0.95 minus three standard errors of 40

@@ -18,7 +18,6 @@ EXACT = dict.fromkeys(("length_mm", "width_mm", "thickness_mm", "density_kg_m3")
 
 
 def cantilever(sd=EXACT, **sizes):
-    """Another plate of the same material, clamped on one edge, of exact sizes where nothing is said."""
     changed = {"length_mm": 200.0, "width_mm": 100.0, "edges": "CFFF", **sizes, "sd": sd}
     named = {"name": "cantilever", "specimen": "cantilever"}
     return {**SIMULATED, **named, "plate": {**SIMULATED["plate"], **changed}}
@@ -26,7 +25,6 @@ def cantilever(sd=EXACT, **sizes):
 
 @pytest.fixture
 def modulus_only(tmp_path):
-    """Draws of E1 with everything else held, and the draws."""
     e = E_REFERENCE * (1.0 + 0.05 * np.random.default_rng(1).standard_normal(800))
     return write_posterior(tmp_path / "posterior.nc", {"E1_GPa": e, "relative_std": np.full(800, 0.01)}), e
 
@@ -37,13 +35,12 @@ def test_frequencies_go_with_the_root_of_the_modulus_and_noise_widens_those_that
     result, expected = cb.predict(path, cantilever(), 4), np.sqrt(e / E_REFERENCE)
     quantiles = np.quantile(expected, (0.025, 0.975))
     for mode, f in zip(result.modes, at_reference, strict=True):
-        # the models are converged to 0.02 %, and a quantile of 800 draws is the same monotone map of theirs
+        # the models are converged to 0.02 %, and quantiles of 800 draws map to theirs monotonically
         assert mode.mean == pytest.approx(f * expected.mean(), rel=3e-4)
         assert mode.sd == pytest.approx(f * expected.std(ddof=1), rel=5e-3)
         assert (mode.q025, mode.q975) == pytest.approx(tuple(f * quantiles), rel=3e-4)
     spread = np.hypot((0.5 * e.std(ddof=1) / E_REFERENCE), 0.01)
-    # quantiles of 800 draws are good to some 6 % of their distance
-    first = result.modes[0]
+    first = result.modes[0]  # quantiles of 800 draws are accurate to about 6 % of their distance
     assert first.measured_q025 < first.q025 < first.q975 < first.measured_q975
     assert first.measured_q975 / first.measured_q025 - 1.0 == pytest.approx(2 * 1.96 * spread, rel=0.15)
 
@@ -52,7 +49,7 @@ def test_frequencies_go_with_the_root_of_the_modulus_and_noise_widens_those_that
     ("sd", "of_sizes", "said"),
     [
         (EXACT, (), "contain the constants; sizes and mass are exact."),
-        # the usual one, and a density of 1 % and a length of 0.1 %, the first mode going with 1 / L^2
+        # the usual one, with density to 1 % and length to 0.1 %, the first mode scaling with 1 / L^2
         ({}, (0.01, 0.005, 0.002), "contain the constants, thickness, length, width and density."),
         ({**EXACT, "thickness_mm": 0.03}, (0.03,), "contain the constants and thickness."),
     ],
@@ -62,13 +59,13 @@ def test_sizes_widen_a_thin_plate_in_proportion_and_are_said_to(modulus_only, sd
     result = cb.predict(path, cantilever(sd, thickness_mm=1.0), 1)
     (mode,) = result.modes
     expected = np.linalg.norm((0.5 * e.std(ddof=1) / E_REFERENCE, *of_sizes))
-    assert mode.sd / mode.mean == pytest.approx(expected, rel=0.1)  # 800 draws know a spread to 2.5 %
+    assert mode.sd / mode.mean == pytest.approx(expected, rel=0.1)  # 800 draws give a spread to 2.5 %
     assert said in " ".join(result.report().summary.lines)
 
 
 @pytest.fixture(scope="module")
 def sampled():
-    """The posterior of a plate with a list that its model computes exactly, its thickness not known well."""
+    """Posterior of a plate with its model's exact list and an uncertain thickness."""
     f = cb.forward(SIMULATED, 6).frequencies
     measured = {"frequencies_hz": f.tolist(), "relative_std": 0.003}
     uncertain = {**SIMULATED["plate"], "sd": {"thickness_mm": 0.06}}
@@ -79,13 +76,13 @@ def sampled():
 
 @pytest.mark.slow
 def test_another_test_of_the_same_plate_has_the_sizes_of_the_draws(sampled):
-    """Thickness and modulus are known badly, what they do together well: the frequencies show that."""
+    """Thickness and modulus are poorly known, but the frequencies determine their combination."""
     clamped = {**SIMULATED, "name": "clamped", "plate": {**SIMULATED["plate"], "edges": "CFFF"}}
     own, other = (cb.predict(sampled, {**clamped, **of}, 3) for of in ({}, {"specimen": "sister"}))
     assert own.sizes_of_posterior
     for narrow, wide in zip(own.modes, other.modes, strict=True):
         assert narrow.sd < 0.3 * wide.sd
-        assert wide.sd / wide.mean == pytest.approx(0.02, rel=0.2)  # of a thickness that is known to 2 %
+        assert wide.sd / wide.mean == pytest.approx(0.02, rel=0.2)  # from a thickness known to 2 %
 
 
 def test_another_plate_has_the_sizes_of_its_file_and_its_truth_lies_in_the_intervals(sampled):
@@ -93,7 +90,7 @@ def test_another_plate_has_the_sizes_of_its_file_and_its_truth_lies_in_the_inter
     assert not result.sizes_of_posterior
     for mode, f in zip(result.modes, cb.forward(cantilever(), 5).frequencies, strict=True):
         assert mode.q025 < f < mode.q975
-    # so has one of the same name and another size, which is told
+    # so does one with the same name and another size, which is reported
     thinner = {**SIMULATED, "plate": {**SIMULATED["plate"], "thickness_mm": 1.0, "length_mm": 150.0}}
     result = cb.predict(sampled, thinner, 3)
     assert not result.sizes_of_posterior
@@ -121,8 +118,7 @@ def test_a_posterior_of_0_1_0_still_opens(tmp_path):
     stored = Path(__file__).parents[1] / "data" / "posterior_0.1.0.nc.xz"
     path.write_bytes(lzma.decompress(stored.read_bytes()))
     found = cb.predict(path, "A2")
-    # its E1 is 67.96 GPa on average, that of the file of A2 69 GPa
-    reference = cb.forward("A2", len(found.modes)).frequencies
+    reference = cb.forward("A2", len(found.modes)).frequencies  # mean E1 67.96 GPa, in the file of A2 69 GPa
     means = [mode.mean for mode in found.modes]
     np.testing.assert_allclose(means, np.sqrt(67.96 / 69.0) * reference, rtol=0.01)
 

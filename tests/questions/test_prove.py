@@ -1,4 +1,4 @@
-"""The question `prove`: what it reads, what it seals, what it says."""
+"""The question `prove`: reading, seal and findings."""
 
 import hashlib
 from dataclasses import replace
@@ -57,21 +57,19 @@ def test_a_table_and_a_list_are_answered_and_the_seal_is_compared(result):
     assert coin["q025_g"] < 20.0 < coin["q975_g"]
     assert coin["distance_mm"] < 15.0
     assert coin["stated_g"] == pytest.approx(20.0)
-    # 95 % of 8 shifts
-    assert coin["shifts_inside"] >= 6
+    assert coin["shifts_inside"] >= 6  # 95 % of 8 shifts
     assert document["coverage"] == {"mass": 1.0, "shifts": pytest.approx(1.0, abs=0.2)}
     assert 0.0 < document["detection_limit_g"] < 20.0
 
 
 def test_the_certificate_says_what_was_found_for_what_was_sealed_and_the_shifts(result):
-    # the second list is predicted from the first and the seal
-    document = result.to_dict()
+    document = result.to_dict()  # the second list is predicted from the first and the seal
     rows = document["shifts"]
     assert len(rows) == 2 * N
     for row in rows:
         beyond = abs(np.log(row["measured_hz"] / row["predicted_hz"])) * row["predicted_hz"] / row["sd_hz"]
         assert row["inside"] == (beyond <= 1.96)
-    # a list without a mass is predicted to be the first
+    # a list without a mass is predicted to equal the first
     assert [row["predicted_hz"] for row in rows[N:]] == pytest.approx([row["first_hz"] for row in rows[N:]])
     low, high = document["repeatability"]
     assert low < 0.001 < high < 3.0 * low
@@ -81,8 +79,7 @@ def test_the_certificate_says_what_was_found_for_what_was_sealed_and_the_shifts(
     assert "repeatability, from the shifts" in shown
     assert result.hash == document["hash"] == DIGEST
     assert DIGEST in shown
-    # what was found is said beside what was sealed, with its mirror images
-    coin, none = (coin.found for coin in result.coins)
+    coin, none = (coin.found for coin in result.coins)  # beside the sealed value, with its mirror images
     of_coin, of_none = (row[1] for row in certificate.rows if row[0] in ("coin.csv", "none.toml"))
     assert of_coin.startswith("In this laboratory, on this plate, ")
     images = [f"({1e3 * x:.0f}, {1e3 * y:.0f})" for x, y in coin.images]
@@ -96,7 +93,7 @@ def test_the_certificate_says_what_was_found_for_what_was_sealed_and_the_shifts(
     assert images[0] in said
 
 
-@pytest.mark.parametrize("quiet", [(), ("--quiet",)])  # without progress, not without the promise
+@pytest.mark.parametrize("quiet", [(), ("--quiet",)])  # without progress, but with the promise
 def test_the_hash_is_shown_before_the_work(run, lists, monkeypatch, quiet):
     def begun(*args, **options):
         raise ValueError("the work has begun")
@@ -136,7 +133,7 @@ def test_lists_that_cannot_be_compared_are_refused(lists, tmp_path):
     _, plate, coin, _ = lists
     seal, specimen = tmp_path / "seal.toml", cb.read_plate(plate)
     seal.write_text(COIN_OF.format(7.25, 60), encoding="utf-8")
-    # a plate model that is far off says nothing of a mass
+    # a plate model that is far off says nothing about a mass
     clamped = replace(specimen, plate=replace(specimen.plate, edges="CFFF"))
     for own, other, said in (
         (plate, str(seal), "a sealed file, accepted: a list; give it as --sealed"),

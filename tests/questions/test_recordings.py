@@ -22,7 +22,7 @@ from cpam_bayes.render.spectrum import peak_rows
 from tests.plate_file import PLATE
 from validation.recorded_hits import RATE, Faults, recorded_hits
 
-# Peaks that are no modes of the aluminium plate of the tests, whose E is 69 GPa.
+# Peaks that are no modes of the tests' aluminium plate, whose E is 69 GPa.
 NO_MODES = (193.0, 420.0)
 EXACT = "\n[plate.sd]\nlength_mm = 0\nwidth_mm = 0\nthickness_mm = 0\ndensity_kg_m3 = 0\n"
 
@@ -54,8 +54,7 @@ def test_recordings_beside_a_plate_file_are_candidates_that_are_read_once(plate,
     assert np.all((measurement.mode_probability >= 0.02) & (measurement.mode_probability <= 0.98))
     assert np.all(measurement.frequency_sd >= 0.003 * measurement.frequencies)
     assert measurement.damping == pytest.approx(0.006, rel=0.2)
-    # and again when they change
-    copy = shutil.copytree(plate.parent, tmp_path / "copy") / plate.name
+    copy = shutil.copytree(plate.parent, tmp_path / "copy") / plate.name  # and again when they change
     first, again = (cb.read_plate(copy).measurement.test for _ in range(2))
     assert again is first
     (copy.parent / "hits" / "2.wav").unlink()
@@ -92,8 +91,7 @@ def test_the_model_picks_the_modes_among_the_peaks_in_one_command(run, plate, tm
         assert (peak["predicted_hz"], peak["taken"]) == (None, "no mode")
     paired = [peak for peak in document["peaks"] if peak["predicted_hz"] is not None]
     for peak in paired:
-        # the noise of 0.3 % and three or four standard deviations of it
-        assert abs(peak["predicted_hz"] / peak["hz"] - 1.0) < 0.01
+        assert abs(peak["predicted_hz"] / peak["hz"] - 1.0) < 0.01  # the noise of 0.3 %, times three or four
         assert peak["probability"] > 0.9
     assert len(paired) + len(document["missed_modes"]) == 8
     assert "What each peak was taken for" in (out / "report.html").read_text(encoding="utf-8")
@@ -102,8 +100,6 @@ def test_the_model_picks_the_modes_among_the_peaks_in_one_command(run, plate, tm
 
 @pytest.fixture
 def of_peaks(tmp_path):
-    """Write a table of peaks and a plate file that names it, and return the plate file's path."""
-
     def write(peaks, more=""):
         (tmp_path / "peaks.csv").write_text(peaks, encoding="utf-8")
         path = tmp_path / "plate.toml"
@@ -124,7 +120,7 @@ def test_a_table_of_peaks_is_weighed_by_heights_as_recordings_are(of_peaks):
     np.testing.assert_allclose(found.mode_probability, [5.0 / 6.0, 0.5, 15.0 / 16.0])
     np.testing.assert_allclose(found.frequency_sd, np.hypot([0.1, 0.2, 0.1], 0.01 * found.frequencies))
     assert not found.complete
-    # heads may be named; numbers with three decimals, not in order
+    # headings may be named; three decimals, unsorted
     heads = '[measurement.columns]\nhz = "f0"\nheight = "h"\n'
     named = cb.read_plate(of_peaks("f0;h\n115,673;10\n165,530;20\n99,570;20\n", heads)).measurement
     np.testing.assert_allclose(named.frequencies, [99.57, 115.673, 165.53])

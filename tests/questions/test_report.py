@@ -1,4 +1,4 @@
-"""`report` as a user sees it: one page of all that is asked of a plate, and the files of its parts."""
+"""`report` as a user sees it: one page with all answers about a plate, and the files of its parts."""
 
 import json
 from dataclasses import replace

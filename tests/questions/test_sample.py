@@ -36,7 +36,7 @@ SIZES = ("length_mm", "width_mm", "thickness_mm", "density_kg_m3")
 
 @pytest.fixture(scope="module")
 def sampled():
-    """A1 with a normal prior of Poisson's ratio; its noise is inferred."""
+    """A1 with a normal prior of Poisson's ratio and inferred noise."""
     e1, nu12 = builtin("A1").unknowns.parameters
     informed = replace(nu12, prior=TruncatedNormal(0.33, 0.01, 0.15, 0.4))
     unknowns = ParameterSet((e1, informed))
@@ -52,13 +52,11 @@ def with_list(frequencies, **changes):
 
 @pytest.fixture(scope="module")
 def gappy():
-    """A1 without its third frequency."""
     f = np.delete(builtin("A1").measurement.frequencies, 2)
     return sample(with_list(f, complete=False), seed=0, settings=SETTINGS)
 
 
 def without_seconds(document):
-    """A document less its keys of seconds."""
     if isinstance(document, dict):
         kept = {key: value for key, value in document.items() if not key.startswith("seconds")}
         return {key: without_seconds(value) for key, value in kept.items()}
@@ -76,7 +74,7 @@ def test_the_document_has_what_is_promised_and_profiles_on_the_whole_basis(sampl
     prior = document["constants"]["nu12"]["prior"]
     assert (prior["kind"], prior["sd"]) == ("truncated normal", pytest.approx(0.01, rel=0.01))
     assert "0.33 +- 0.01 in 0.15 to 0.4" in sampled.summary(verbose=True)
-    # what a clock tells stands in keys that say so, and in no other
+    # times appear only under keys that say so
     slower = replace(sampled, seconds=9.0 * sampled.seconds, seconds_sampling=9.0 * sampled.seconds_sampling)
     again = json.loads(json_text(slower.to_dict()))
     once, nine_times = (of["diagnostics"]["seconds_sampling"] for of in (document, again))
@@ -88,7 +86,7 @@ def test_the_document_has_what_is_promised_and_profiles_on_the_whole_basis(sampl
     assert len(document["frequencies"]) == 6
     for row in document["frequencies"]:
         assert 0.0 < row["left_out"]["leverage"] < 1.0
-        # a mode left out is predicted no better than one that is not, on the same side
+        # an omitted mode is predicted no better than an included one, on the same side
         assert row["left_out"]["residual_percent"] / row["residual_percent"] > 1.0
     # the profile of Poisson's ratio spans its search interval, far beyond the draws of a narrow basis
     x, log_prob = sampled.result.draws, sampled.result.log_prob.ravel()
@@ -101,22 +99,19 @@ def test_what_an_answer_rests_on_is_told(sampled):
     evidence = replace(sampled.evidence, exact_fraction=0.6)
     assert basis_notices(evidence) == (Notice("narrow_basis", facts={"fraction": 0.6}),)
     assert basis_notices(sampled.evidence) == ()
-    # peaks that are no mode determine nothing
-    mode = sampled.pairing.mode.copy()
+    mode = sampled.pairing.mode.copy()  # peaks that are no modes determine nothing
     mode[2] = -1
     unpaired = replace(sampled, pairing=replace(sampled.pairing, mode=mode))
     for result, n in ((sampled, 6), (unpaired, 5)):
         assert f"The {n} frequencies determine" in result.report().summary.headline
-    # importance sampling is quoted where it is reliable alone
-    own = sampled.assessment
+    own = sampled.assessment  # importance sampling is quoted only if reliable
     for k_hat, expected in ((0.5, "by importance sampling"), (0.9, "not reliable: k-hat 0.90")):
         importance = replace(own.importance, k_hat=np.full(6, k_hat))
         result = replace(sampled, assessment=replace(own, importance=importance))
         (line,) = (line for line in result.summary(verbose=True).splitlines() if "PSIS-LOO" in line)
         assert expected in line
         assert (result.to_dict()["leave_one_out"]["psis"]["log_score"] is None) == (k_hat > 0.7)
-    # products of constants leave small exponents out
-    product = replace(own.combinations[0], exponents=np.array([0.03, 1.0, -0.5]))
+    product = replace(own.combinations[0], exponents=np.array([0.03, 1.0, -0.5]))  # omits small exponents
     assert product_text(("E1", "E2", "G12"), product) == "E2 G12^-0.5"
 
 
@@ -148,8 +143,7 @@ def test_the_file_opens_in_arviz_without_this_package(sampled, tmp_path):
         name, factor = {"E1": ("E1_GPa", 1e-9), "nu12": ("nu12", 1.0)}[c.name]
         # thinned draws of the same chains; arviz rounds to three decimals
         assert mean[name] == pytest.approx(c.value * factor, abs=0.3 * c.sd * factor + 5e-4)
-    # a stranger's arviz, which knows of chains only, comes to the R-hat of the ensembles
-    assert chains == sampled.result.chain.shape[0]
+    assert chains == sampled.result.chain.shape[0]  # arviz, knowing only chains, gives the ensembles' R-hat
     assert max(r_hat.values()) == pytest.approx(sampled.result.diagnostics.r_hat, abs=0.005)
     by_mode = {"frequencies_hz": ["chain", "draw", "mode"]}
     assert dims["log_likelihood"] == dims["posterior_predictive"] == dims["prior_predictive"] == by_mode
@@ -162,7 +156,7 @@ def test_the_file_opens_in_arviz_without_this_package(sampled, tmp_path):
     versions = {f"{n}_version" for n in ("cpam_bayes", "numpy", "scipy", "emcee", "arviz_base")}
     assert versions | {"seed", "problem_hash", "noise", "noise_degrees_of_freedom"} <= set(attrs)
     assert attrs["seed"] == "7"
-    # the constants' sensitivity to the likelihood, which takes no other draws, is that of the screen
+    # the constants' sensitivity to the likelihood, which uses the same draws, is that of the screen
     told = {s.name: s for s in sampled.assessment.power_scaling}
     assert psens["E1_GPa"] == pytest.approx(told["E1"].likelihood, rel=1e-6)
 
@@ -200,10 +194,10 @@ def test_the_same_posterior_gives_the_same_file_with_prior_draws_and_a_hash_of_t
     for name in ("first.nc", "again.nc"):
         sampled.to_arviz().to_netcdf(tmp_path / name)
     assert (tmp_path / "first.nc").read_bytes() == (tmp_path / "again.nc").read_bytes()
-    assert data.prior.sizes["draw"] > 900  # the constraints (9) leave out few
+    assert data.prior.sizes["draw"] > 900  # the constraints (9) reject few
     assert data.prior["nu12"].values.mean() == pytest.approx(0.33, abs=4 * 0.01 / np.sqrt(900))
     assert np.all((data.prior["E1_GPa"] >= 10.0) & (data.prior["E1_GPa"] <= 200.0))
-    # the hash is not of the chain
+    # the hash does not include the chain
     chain, log_prob = (values[:, 3:] for values in (sampled.result.chain, sampled.result.log_prob))
     shorter = replace(sampled, seed=1, result=replace(sampled.result, chain=chain, log_prob=log_prob))
     own = sampled.posterior.parameters.parameters
@@ -246,7 +240,6 @@ EMCEE = ("--backend", "emcee", "--quiet", "--steps", "200")
 
 @pytest.fixture
 def plate_file(plate_file):
-    """Write the plate file with its list, some words replaced, and return its path."""
     return partial(plate_file, text=PLATE)
 
 
@@ -261,7 +254,7 @@ def test_sizes_stand_apart_from_the_constants_and_noise_has_a_scale_and_a_shape(
     thickness = document["nuisance"]["thickness_mm"]
     assert thickness["reference"] == pytest.approx(3.0)
     assert thickness["mean"] == pytest.approx(3.0, abs=0.02)
-    assert thickness["sd"] == pytest.approx(0.03, rel=0.4)  # frequencies say nothing of it beside E1
+    assert thickness["sd"] == pytest.approx(0.03, rel=0.4)  # frequencies say nothing about it beside E1
     (first,) = report.summary.tables
     assert [row[0] for row in first.rows] == ["E1", "nu12"]
     assert (document["noise"]["name"], document["degrees_of_freedom"]) == ("absolute_sd_hz", 4.0)
@@ -295,7 +288,7 @@ def test_what_cannot_be_is_refused_in_one_line(run, plate_file, change, options,
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [EMCEE, ("--quiet",)])
 def test_labels_put_modes_beside_their_frequencies(run, plate_file, options):
-    labels = 'labels = ["(1,1)", "", "", "(1,2)", "(2,1)", ""]'  # the model has them the other way round
+    labels = 'labels = ["(1,1)", "", "", "(1,2)", "(2,1)", ""]'  # exchanged in the model
     rows = json.loads(run("identify", plate_file(("resolution_hz = 1.0", labels)), *options, "--json")[1])
     fourth, fifth = rows["frequencies"][3:5]
     assert (fourth["label"], fifth["label"]) == ("(1,2)", "(2,1)")
@@ -342,7 +335,7 @@ EXACT = {"length_mm": 0.0, "width_mm": 0.0, "density_kg_m3": 0.0}
 UNKNOWNS = {"E1_GPa": [60.0, 200.0], "E2_GPa": [5.0, 20.0], "nu12": [0.1, 0.5], "G12_GPa": [2.0, 10.0]}
 MATERIAL = {"E1_GPa": 120.0, "E2_GPa": 9.0, "nu12": 0.3, "G12_GPa": 5.0, "name": "carbon"}
 FIRST = described((300.0, 220.0, 2.0), 1550.0, MATERIAL, layup="[0_8]", unknowns=UNKNOWNS)
-# one error of all moduli: they are known far better relative to each other
+# one error of all moduli: their ratios are known better
 FIRST["plate"]["sd"] = {**EXACT, "thickness_mm": 0.04}
 
 
@@ -355,10 +348,8 @@ def listed(plate, n, rng):
 @pytest.mark.slow
 @pytest.mark.weekly
 def test_the_posterior_of_a_former_plate_as_prior_gives_what_both_lists_give_together(tmp_path):
-    """Sisters without scatter. The former one's thickness is gauged badly, which correlates its moduli.
-
-    The second list tells E1 and G12 well; that E2 is then known too is what the correlations say.
-    """
+    """Sisters without scatter; the former one's badly gauged thickness correlates its moduli.
+    The second list determines E1 and G12 well; through the correlations E2 is then known too."""
     rng = np.random.default_rng(1)
     first, second = (copy.deepcopy(FIRST) | {"name": name} for name in ("first", "second"))
     second["plate"] |= {"edges": "CFFF", "width_mm": 60.0, "sd": {**EXACT, "thickness_mm": 0.0}}
@@ -372,10 +363,10 @@ def test_the_posterior_of_a_former_plate_as_prior_gives_what_both_lists_give_tog
     decided = "not determined: the former plate decides"
     for name, expected in together.items():
         for answer in answers:
-            # draws of the former posterior, 600 effective ones or more, and the normal form of its prior
+            # at least 600 effective draws of the former posterior, and the normal form of its prior
             assert answer[name].value == pytest.approx(expected.value, abs=0.15 * expected.sd), name
             assert answer[name].sd == pytest.approx(expected.sd, rel=0.1), name
-            # this list tells the moduli ten times as well as the former plate did, and nothing of nu12
+            # this list determines the moduli ten times better than the former plate did, and not nu12
             assert (answer[name].verdict is Verdict.DATA) == (name != "nu12"), name
             assert determined_text(answer["nu12"]) == decided
     vague = copy.deepcopy(second)

@@ -1,4 +1,4 @@
-"""`sensitivity`: a study made of known numbers, shown, and the command as a user and a script see it."""
+"""`sensitivity`: a study with known numbers, its display, and the command for users and scripts."""
 
 import json
 import re
@@ -21,7 +21,7 @@ from cpam_bayes.render.report import json_text
 from tests.answers import CHAINS, answered
 from tests.plate_file import MEASURED
 
-# Means of two inversions, E1 in Pa and nu12: 71 GPa with an sd of 1.4142, 0.30 with 0.02828.
+# Results of two inversions, E1 in Pa and nu12: mean 71 GPa with an sd of 1.4142, 0.30 with 0.02828.
 CONSTANTS = np.array([[70e9, 0.28], [72e9, 0.32]])
 AGREE = Comparison(1e9, 0.5, 1.4, True, True, ())
 
@@ -82,7 +82,7 @@ def test_the_paper_stands_beside_its_own_specimen_in_standard_errors_of_a_mean_o
     document = result(aluminium, table).to_dict()
     own = document["levels"][1]["constants"]["E1_GPa"]
     assert own["paper_percent_error"] == -3.1
-    error = 100 * (2**0.5 / 10**0.5) / 69  # of ten, though there are two groups here
+    error = 100 * (2**0.5 / 10**0.5) / 69  # for ten, though there are two groups here
     assert own["paper_in_standard_errors"] == pytest.approx(-3.1 / error)
     assert document["paper"] == {"table": 10, "angles_deg": [], "contradictions": []}
     # E1: -1.7 and -3.1 over 0.648 %; nu12: 2.3 and 7.2 over 100 * 0.0283 / sqrt(10) / 0.33 = 2.71 %
@@ -91,14 +91,12 @@ def test_the_paper_stands_beside_its_own_specimen_in_standard_errors_of_a_mean_o
     smaller = "1 of 4 printed percentages are smaller than the standard error that a mean of ten"
     assert f"relative: {smaller}" in said
     assert f"in these units their rms is {rms:.1f}" in said
-    # a level that the paper lacks has no column of it
-    for level, printed in ((0.02, ()), (0.05, ("-3.10", "+7.20"))):
+    for level, printed in ((0.02, ()), (0.05, ("-3.10", "+7.20"))):  # the paper lacks the first level
         shown = tables(result(with_cell(aluminium, cell(level, "rms")), table))
         (noise,) = (t for title, t in shown.items() if title.startswith("Noise"))
         at = [i for i, heading in enumerate(noise.headings) if heading == "paper %"]
         assert tuple(row[i] for i in at for row in noise.rows) == printed
-    # a contradiction in print is said
-    table = perturbation_table("D1")
+    table = perturbation_table("D1")  # a contradiction in the print is reported
     d1 = replace(study, specimen=replace(study.specimen, name="D1", source="built-in D1"))
     found = beside_paper(d1, table)
     assert found[-1] == (
@@ -110,7 +108,6 @@ def test_the_paper_stands_beside_its_own_specimen_in_standard_errors_of_a_mean_o
 
 
 def tables(result):
-    """The tables of the report by title."""
     return {t.title: t for section in result.report().sections for t in section.tables}
 
 
@@ -123,7 +120,7 @@ def test_the_first_screen_has_a_row_for_each_level_and_reading_and_flags_those_t
     (table,) = summary.tables
     readings = ("of each frequency", "of the rms frequency")
     assert [row[:2] for row in table.rows] == [(level, of) for level in ("1 %", "5 %") for of in readings]
-    # of 69 GPa: inversions 1.414, posterior 1; of 0.33: 0.02828 and 0.02
+    # relative to 69 GPa: inversions 1.414, posterior 1; relative to 0.33: 0.02828 and 0.02
     assert [row[2:] for row in table.rows] == [("2.0 / 1.4", "8.6 / 6.1")] * 4
     assert "nu12 a standard deviation of 6.1 %" in summary.headline
     assert "8 of 8" in summary.lines[0]
@@ -219,7 +216,6 @@ FEW = ("--groups", "3", "--executor", "serial", "--quiet")
 
 @pytest.fixture
 def hurried(monkeypatch):
-    """Makes `sensitivity` run with shorter chains, or smaller swarms."""
     full = sensitivity.noise_study
 
     def shorten(**short):
@@ -265,8 +261,7 @@ def test_the_command_says_what_noise_was_added_to_and_gives_the_same_for_the_sam
     assert "did not converge within their budget" in err
     assert re.search(r"Noise 5 % of the rms frequency \(rms\), [\d.]+ Hz for all modes", out)
     assert "what the plate model gives at the reference constants" in out
-    # a level that is named twice is studied once
-    seeds = (("--seed", "3"), ("--levels", "5", "5.0", "--seed", "3"), ("--seed", "4"))
+    seeds = (("--seed", "3"), ("--levels", "5", "5.0", "--seed", "3"), ("--seed", "4"))  # levels are unique
     first, again, other = (json.loads(run(*argv, *more, "--json")[1]) for more in seeds)
     assert len(first["frequencies_hz"]) == 5
     assert [level["level_percent"] for level in first["levels"]] == [5.0]

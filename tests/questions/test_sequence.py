@@ -22,12 +22,10 @@ pytestmark = pytest.mark.slow
 
 
 def notices(answer, mixture):
-    """Code -> facts of every reason not to trust the probabilities."""
     return {n.code: n.facts for n in stacking_notices(answer, mixture, best_fit(answer))}
 
 
 def tables(result):
-    """The tables behind the answer by title."""
     return {t.title: t for section in result.report().sections for t in section.tables}
 
 
@@ -38,8 +36,7 @@ def work(result):
 def test_an_error_of_a_size_does_to_the_constants_what_identify_says_of_the_most_probable_layup():
     result = stacking_result(answer(), mixture(), None, 0, 5)
     known = result.most_probable
-    # the posterior over layups here has no references
-    alone = replace(known, material=replace(known.material, known=False))
+    alone = replace(known, material=replace(known.material, known=False))  # no references here
     identified = identify(alone, seed=1, residuals="relative").estimate.scale_errors
     for one, other in zip(result.scale_errors, identified, strict=True):
         assert one.name == other.name
@@ -55,7 +52,7 @@ def test_the_document_has_what_the_contract_names_and_the_first_screen_its_answe
     assert (document["enumerated"], document["credible_95_count"]) == (36, own.credible_count)
     assert [s["sampled_by"] for s in document["sequences"]] == 3 * ["emcee"] + 2 * ["importance sampling"]
     assert set(document["sequences"][0]["constants"]) == {"E1_GPa", "E2_GPa", "nu12", "G12_GPa"}
-    # none of the sequences that were given up is within 18 nats of the best
+    # none of the rejected sequences is within 18 nats of the best
     assert document["unaccounted_probability"] < 36 * np.exp(-18.0)
     assert 0.0 < document["basis_error"] < 1e-3
     np.testing.assert_allclose(np.sum(document["angle_marginals"], axis=1), 1.0)
@@ -64,11 +61,10 @@ def test_the_document_has_what_the_contract_names_and_the_first_screen_its_answe
     assert e1["q025"] < e1["mean"] < e1["q975"]
     assert e1["mean"] == pytest.approx(result.mixture.parameters[:, 0].mean() / 1e9)
     assert (document["noise_percent"], document["noise_inferred"]) == (pytest.approx(1.0, rel=1e-3), False)
-    # the list is one of the plate's own, without noise; two frequencies more than constants
+    # the list is the plate's own without noise, with two frequencies more than constants
     assert chi2.isf(document["p_value"], 2) < 0.1
     assert work(result)["noise"].startswith("1.0 % of a frequency, from the plate file; alone it leaves")
-    # the first screen has the layup, its probability and the constants
-    summary = result.report().summary
+    summary = result.report().summary  # the first screen has the layup, its probability and the constants
     constants, sequences = summary.tables
     assert [row[0] for row in constants.rows] == ["E1", "E2", "nu12", "G12"]
     together = float(own.probability[0] * own.multiplicity[0])
@@ -102,7 +98,6 @@ def test_constants_over_all_sequences_have_emcee_and_the_printed_sequence_beside
 
 
 def of_list(frequencies, **more):
-    """The posterior of the plate with another list."""
     own, labels = specimen(), ("",) * len(frequencies)
     measured = replace(own.measurement, frequencies=np.sort(frequencies), labels=labels, **more)
     settings = StackingSettings(draws=30, listed=12, log2_points=6)
@@ -123,8 +118,7 @@ def test_a_list_that_lacks_a_mode_is_paired_and_of_one_that_no_sequence_explains
     beside = stacking_result(stray, mixture(), None, 0, 5).to_dict()["frequencies"]
     assert [f["predicted_hz"] is None for f in beside].count(True) == 1
     assert notices(stray, mixture())["frequencies_without_mode"]["alone"] == 1
-    # a list that no sequence explains
-    off = specimen().measurement.frequencies * (1.0 + 0.03 * np.array(3 * [1.0, -1.0]))
+    off = specimen().measurement.frequencies * (1.0 + 0.03 * np.array(3 * [1.0, -1.0]))  # explained by none
     found = of_list(off, relative_std=2e-3)
     wrong, right = (stacking_result(each, mixture(), None, 0, 5) for each in (found, answer()))
     (slip,) = (notice for notice in wrong.notices if notice.code == "no_sequence_explains")
@@ -184,8 +178,7 @@ def test_the_posterior_file_opens_in_plain_arviz(tmp_path):
     by = data.sample_stats["sampled_by"].values[0]
     assert np.mean(by == EMCEE) == pytest.approx(mixed.emcee_fraction, abs=1e-3)
     np.testing.assert_array_equal(posterior["component"].values[0], mixed.origin)
-    # a draw's angles are an image of its component's
-    listed = data.constant_data["sequence_angle_deg"].values
+    listed = data.constant_data["sequence_angle_deg"].values  # angles are an image of the component's
     assert np.all(np.abs(posterior["angle_deg"].values[0][mixed.origin == 0]) == np.abs(listed[0]))
     np.testing.assert_allclose(data.constant_data["angle_marginal"].sum("angle"), 1.0)
     assert data.observed_data.sizes["mode"] == 6

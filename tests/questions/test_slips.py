@@ -1,4 +1,4 @@
-"""Slips of a plate file that explain a gross misfit: named where they do, not where something else does."""
+"""Slips of a plate file that explain a gross misfit are named, unless something else explains it."""
 
 import functools
 import json
@@ -21,7 +21,6 @@ PLATE = described((310.0, 228.0, 3.1), 1550.0, SHEET, layup="[0_8]", unknowns=UN
 
 
 def stated(frequencies, **plate):
-    """The plate file of a list, with what it states of the plate."""
     measured = {"frequencies_hz": [float(f) for f in np.sort(frequencies)], "relative_std": NOISE}
     return {**PLATE, "plate": {**PLATE["plate"], **plate}, "measurement": measured}
 
@@ -32,7 +31,7 @@ def _frequencies(n, file):
 
 
 def listed(n=10, sensor=(), **plate):
-    """A list of the plate with 0.1 % of noise, made by the other discretisation; sensor : left on it."""
+    """Frequencies of the plate from the other discretisation, with 0.1 % of noise; sensor : left on it."""
     true = {**PLATE, "plate": {**PLATE["plate"], **plate}, "sensor": list(sensor)}
     return _frequencies(n, json.dumps(true)) * (1.0 + NOISE * np.random.default_rng(5).standard_normal(n))
 
@@ -46,7 +45,6 @@ def found(file):
 
 
 def changed(place, factor):
-    """The plate file of a list with one number that is wrong by a factor."""
     return stated(listed(11) * np.where(np.arange(11) == place, factor, 1.0))
 
 
@@ -82,11 +80,9 @@ def test_standard_deviations_of_sides_are_exchanged_with_them():
         (lambda: stated(np.append(listed(11)[:10], 250.0)), [("false", 4)]),
         (lambda: changed(10, 10.0), [("decimal", 11)]),
         (lambda: changed(2, 1.12), [("misread", 3)]),
-        # misread by so much that it stands two places further on
-        (lambda: changed(2, 1.75), [("misread", 5)]),
+        (lambda: changed(2, 1.75), [("misread", 5)]),  # misread so much that it moves up two ranks
         pytest.param(lambda: stated(listed(edges="CFCF"), edges="SFSF"), [("supports", 0)], marks=SLOW),
-        # a mass left on the plate is no slip of its file
-        pytest.param(lambda: stated(listed(sensor=[LIGHT])), [], marks=SLOW),
+        pytest.param(lambda: stated(listed(sensor=[LIGHT])), [], marks=SLOW),  # a mass is no slip of the file
         (lambda: stated(listed(sensor=[HEAVY])), []),
     ],
     ids=("edges", "missed", "false", "decimal", "misread", "misread, sorted", "supports", "light", "heavy"),
@@ -104,8 +100,7 @@ def test_slips_are_weighed_once_where_a_list_is_reached_by_none_but_them(monkeyp
         return explaining_slips(specimen)
 
     monkeypatch.setattr(slips, "explaining_slips", counted)
-    # a point put wrong within the list
-    answer = cb.identify(changed(9, 0.1), seed=0)
+    answer = cb.identify(changed(9, 0.1), seed=0)  # a misplaced decimal point in the list
     assert [(slip.kind, slip.number) for slip in answer.explained_by] == [("decimal", 1)]
     assert weighed == ["p"]
 

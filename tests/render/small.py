@@ -1,4 +1,4 @@
-"""A small answer made by hand, to be shown in every way."""
+"""A small handmade answer, for tests of every display."""
 
 import io
 from dataclasses import dataclass
@@ -13,8 +13,6 @@ from cpam_bayes.result import Result
 
 
 class Terminal(io.StringIO):
-    """Standard error or output that is a terminal."""
-
     def isatty(self) -> bool:
         return True
 

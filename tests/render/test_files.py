@@ -1,4 +1,4 @@
-"""Result files appear when all of them are whole, or not at all; figures are drawn alike every time."""
+"""Result files appear complete and all together, or not at all; figures are drawn identically every time."""
 
 import errno
 import json
@@ -27,7 +27,6 @@ NO_PLACES = [
 
 @pytest.fixture(scope="module")
 def forward_result():
-    """Three modes of a clamped plate."""
     return answered("forward")
 
 
@@ -83,7 +82,7 @@ def test_the_page_of_another_command_is_kept_under_its_name(tmp_path, forward_re
     (note,) = saved(forward_result, tmp_path)
     assert note == f"{page} is now that of forward, that of plates is kept as plates_page.html"
     assert (command_of(page), (tmp_path / "plates_page.html").read_text("utf-8")) == ("forward", first)
-    # a page of one command stands at one place
+    # the page of a command is always at the same place
     assert (len(saved(RESULT, tmp_path)), command_of(page)) == (1, "plates")
     assert {path.name for path in tmp_path.glob("*.html")} == {PAGE, "forward_page.html"}
     page.write_text("<title>coverage</title>")

@@ -1,4 +1,4 @@
-"""Every notice that the package makes has a sentence, made from the facts that it is given."""
+"""Every notice of the package has a sentence made from its facts."""
 
 import ast
 import re
@@ -120,7 +120,7 @@ def test_numbers_and_cures_are_in_the_sentences_of_which_each_is_told_once():
         assert all(part in sentence for part in said)
     both = Notice("sizes_exact", facts={"names": ("thickness", "length")})
     assert "thickness_mm and length_mm are assumed exact here: their stated" in sentence_of(both)
-    # equal ones are told once, and remarks are no warnings
+    # equal ones appear once, and remarks are no warnings
     few, other = Notice("failed_plates", facts={"count": 1}), Notice("mixed_materials", "remark")
     assert each_once((few, other, Notice("failed_plates", facts={"count": 1}))) == (few, other)
     assert sentences((few, other, few), "slip", "warning") == (sentence_of(few),)

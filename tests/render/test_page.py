@@ -1,4 +1,4 @@
-"""One page for every answer: whole in itself, the answer first, for every reader."""
+"""One page for every answer: self-contained, the answer first, accessible to every reader."""
 
 import re
 from html.parser import HTMLParser
@@ -13,10 +13,9 @@ from tests.render.small import REPORT, RESULT
 
 PROJECT = Path(__file__).parents[2]
 WIDE, PHONE = 1280, 390
-# Width of A4 between margins of 15 mm, CSS pixels.
-PAPER = 680
+PAPER = 680  # Width of A4 minus margins of 15 mm, CSS pixels.
 
-# The text of the page and what holds it, without style, attributes of style and the figure's data.
+# Text of the page with its elements, without styles and the figure's data.
 BODY = """\
 main section h1 identify D&G
 p.slip The list is in kHz, not Hz. Divide by 1000.
@@ -53,7 +52,7 @@ ul li.flag [red]no colour[/red] <script>
 
 
 class Outline(HTMLParser):
-    """What a page says after its head, a line for each piece of text, with the elements that begin there."""
+    """Text of a page after its head, one line per piece, with the elements that begin there."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -86,7 +85,6 @@ def browser():
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
-    """The page of the small answer, as `--out` writes it."""
     out = tmp_path_factory.mktemp("small")
     RESULT.save(out)
     return out / "report.html"

@@ -1,4 +1,4 @@
-"""Progress: a line now and then, a bar on a terminal, nothing when quiet."""
+"""Progress: an occasional line, a bar on a terminal, nothing when quiet."""
 
 import itertools
 import re
@@ -16,7 +16,7 @@ AT_MOST = "this part takes at most about 10 min"
 
 
 def a_clock(monkeypatch, seconds):
-    """A clock that goes on by so many seconds whenever it is looked at."""
+    """A clock that advances by this many seconds at each reading."""
     looks = itertools.count()
     monkeypatch.setattr(module.time, "monotonic", lambda: seconds * next(looks))
 
@@ -58,16 +58,14 @@ def test_a_terminal_gets_a_bar_that_says_what_is_left_and_goes_away(monkeypatch)
     with progress("identify C1", 5, False, lambda best: f"rms {best:.1f} Hz") as shown:
         for iteration in range(3):
             shown.tick(iteration, 3.3)
-    # the bar looks at the clock by itself now and then
-    said = r"iteration 2 of 5, rms 3.3 Hz, at most about \d+ h \d\d min left"
+    said = r"iteration 2 of 5, rms 3.3 Hz, at most about \d+ h \d\d min left"  # the bar reads the clock too
     assert re.search(said, sys.stderr.getvalue())
     work(5)
-    for part in ("iteration 5 of 5, rms 1.7 Hz", "\x1b[2K"):  # the line is cleared in the end
+    for part in ("iteration 5 of 5, rms 1.7 Hz", "\x1b[2K"):  # the line is cleared at the end
         assert part in sys.stderr.getvalue()
 
 
 def expected(capsys):
-    """The lines that say how long a part takes, with the line before each."""
     lines = capsys.readouterr().err.splitlines()
     said = ("this part", "longer than")
     return [(lines[i - 1] if i else "", line) for i, line in enumerate(lines) if line.startswith(said)]
@@ -80,7 +78,7 @@ def test_what_takes_above_a_minute_is_said_once_as_soon_as_it_is_known(monkeypat
     lines = capsys.readouterr().err.splitlines()
     told = [i for i, line in enumerate(lines) if line.startswith("this part")]
     assert [lines[i] for i in told] == said
-    # it is known after four iterations
+    # after four iterations
     assert all(lines[i - 1].startswith("identify C1: iteration 2 of 20") for i in told)
     assert any("left" in line for line in lines) == (seconds > 1.0)
     if said:
@@ -102,7 +100,7 @@ def test_items_that_are_shared_out_and_a_stage_of_items_say_their_time_once(monk
     with forecasting():
         announce("two by two", False)
         assert run(doubled, None, range(30)) == list(range(0, 60, 2))
-    # what an item shares out itself does not look at the clock
+    # work that an item distributes itself does not read the clock
     assert expected(capsys) == [("two by two", "this part takes about 10 min")]
     run(doubled, None, range(30))
     assert not expected(capsys)

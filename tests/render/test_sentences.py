@@ -1,4 +1,4 @@
-"""What screens and pages share in words: the plate, constants, fit, intervals, digits."""
+"""Words shared by screens and pages: the plate, constants, fit, intervals, digits."""
 
 import math
 import re
@@ -91,7 +91,7 @@ def test_intervals_name_what_they_contain_and_the_largest_error_that_they_do_not
     assert "thickness" in intervals_sentence(specimen.plate, (), ["E1"], found=["thickness"])
     (step,) = sentences.gauge_step(specimen, errors, ["E1"])
     assert step.endswith("thickness and density are known: gauge and weigh the plate.")
-    # nothing is asked for that the file states
+    # the file's own statements are not asked for
     for name, left in (("density", "thickness is known: gauge"), ("thickness", "density is known: weigh")):
         known = replace(specimen.plate, sd={name: 1e-5})
         (step,) = sentences.gauge_step(replace(specimen, plate=known), errors, ["E1"])
@@ -137,8 +137,7 @@ def test_a_value_stops_at_the_second_digit_of_its_standard_deviation():
 def test_decimals_are_those_written_no_minus_stands_before_zero_and_small_is_small():
     assert [decimals_of(f) for f in ([102.0, 311.0], [156.7, 232.25, 300.0], [1 / 3])] == [0, 2, 6]
     assert (fixed(-0.004, 2), fixed(-0.006, 2)) == ("0.00", "-0.01")
-    # no computation tells these from zero
-    shown = ["1", "0.123", "3e-12", "< 1e-12", "< 1e-12"]
+    shown = ["1", "0.123", "3e-12", "< 1e-12", "< 1e-12"]  # no computation can tell these from zero
     assert [probable(p) for p in (1.0, 0.12345, 3e-12, 2.85e-51, 0.0)] == shown
 
 

@@ -19,8 +19,7 @@ from tests.shared import once_a_run
 TRUE = (30.0, -60.0)
 STEP = 30.0
 FREQUENCIES = 6
-# Probability from which on a class of the mixture is sampled by emcee: the first three are.
-SAMPLED = 0.03
+SAMPLED = 0.03  # Probability above which a class of the mixture is sampled by emcee: the first three are.
 
 
 def with_layup(specimen: Specimen, layup: Layup) -> Specimen:
@@ -42,7 +41,6 @@ def listed(
 
 
 def specimen() -> Specimen:
-    """Two unknown angles on a coarse grid."""
     return listed("[?/?]_s", STEP)
 
 
@@ -58,14 +56,12 @@ def mixture() -> StackingMixture:
 
 
 def shortened(n: int) -> StackingPosterior:
-    """The answer with a list of its first n classes only."""
     return answer().listing(np.arange(n))
 
 
 SIDE = 0.2
 N_MODES = 8
-# Polynomials alone, as many along x as along y: a space that has every symmetry of the square.
-BASIS = RitzSettings(6, 6, layers=0)
+BASIS = RitzSettings(6, 6, layers=0)  # polynomials, equal in x and y: all symmetries of the square
 
 
 def unknown_plate(layup="[?/?]_s", edges="FFFF", width=SIDE, sensors=(), step: float = 15.0) -> Specimen:
@@ -81,7 +77,7 @@ def frequencies(specimen: Specimen, angles_deg: np.ndarray) -> np.ndarray:
     constants = reference_vector(specimen, specimen.unknowns)
     x = np.hstack((np.tile(constants, (len(angles_deg), 1)), angles_deg))
     problem, found = plate_problem(specimen, parameters), []
-    for row in x:  # one at a time: the symmetries of each laminate are its own
+    for row in x:  # one at a time: each laminate has its own symmetries
         values = parameters.mapping(row[None])
         space = ritz_space(problem.edges, problem.nominal, BASIS)
         operator = discretise_at(problem, space, values)

@@ -1,4 +1,4 @@
-"""One sequence given: importance sampling against known integrals, bases and starts, questions to it."""
+"""A given sequence: importance sampling against known integrals, bases and starts, queries."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -21,19 +21,18 @@ LOG_Z = np.array([0.0, -7.0, 3.0])
 
 
 def skewed(z: np.ndarray) -> np.ndarray:
-    """A normalised density (..., 3) with two tails: standard normals bent along the first coordinate."""
+    """Log of a normalised density (..., 3) with two tails: normals bent along the first coordinate."""
     bent = z[..., 1] - 0.5 * (z[..., 0] ** 2 - 1.0)
     squared = z[..., 0] ** 2 + bent**2 + (z[..., 2] - 2.0) ** 2 / 4.0
     return np.asarray(-0.5 * squared - 1.5 * np.log(2.0 * np.pi) - np.log(2.0))
 
 
 class Known:
-    """A posterior of three sequences whose density is known; how many points were asked for in all."""
+    """A posterior of three sequences with known densities, which counts the points evaluated."""
 
     template: Any = SimpleNamespace(log_prior=lambda x: np.zeros(len(x)))
     axes: Any = SimpleNamespace(to_x=lambda z: z, lower=[-np.inf] * N, upper=[np.inf] * N, **vars(template))
-    # so small that no sequence gets a basis of its own
-    operator = SimpleNamespace(blocks=[SimpleNamespace(size=1)])
+    operator = SimpleNamespace(blocks=[SimpleNamespace(size=1)])  # too small for a basis of its own
     model: Any = SimpleNamespace(fast=SimpleNamespace(operator=operator))
     points = 0
 
@@ -46,7 +45,7 @@ class Known:
 
 
 def fits(centre: float, sd: float) -> ConditionalFits:
-    """Optima of three sequences at ``centre``, with a standard deviation; one of two counts."""
+    """Optima of three sequences at ``centre``, with a standard deviation; one of two has all the weight."""
     m = len(LOG_Z)
     optima, weight = np.full((m, 2, N), centre), np.tile([1.0, 0.0], (m, 1))
     curvature = np.broadcast_to(np.eye(N) / sd**2, (m, 2, N, N))
@@ -61,12 +60,11 @@ def test_the_evidence_of_a_known_density_is_found_within_its_error_from_more_poi
     found = importance_evidence(own, NUMBERS, fits(0.0, 1.0), 13)
     assert np.all(np.abs(found.log_evidence - LOG_Z) <= 4.0 * found.error)
     assert found.error.max() < 0.03
-    # mean and sd of the third coordinate, a normal about 2 with sd 2
-    np.testing.assert_allclose(found.mean[:, 2], 2.0, atol=0.1)
+    np.testing.assert_allclose(found.mean[:, 2], 2.0, atol=0.1)  # third coordinate: normal about 2, sd 2
     np.testing.assert_allclose(found.sd[:, 2], 2.0, rtol=0.05)
     assert own.points == 3 * 2**13
 
-    # what stays unsure is sampled with more and more points
+    # sequences that remain unsure get more and more points
     def error_of(unsure: float, points: int) -> np.ndarray:
         own, settings = Known(), RefinementSettings(unsure=unsure)
         found = importance_evidence(own, NUMBERS, fits(0.0, 1.0), 9, settings=settings)
@@ -109,7 +107,7 @@ def test_moments_by_emcee_on_the_basis_of_a_sequence_are_those_on_the_whole_one(
     small = mixture().components[0]
     monkeypatch.setattr(stacking_mixture, "of_sequence", lambda conditional, angles, noise: conditional)
     whole = sample_mixture(answer(), 0, settings=MixtureSettings(least=2.0)).components[0]
-    # a fiftieth of the noise of a frequency is nothing beside the errors of sampling
+    # a fiftieth of the noise of a frequency is negligible beside the sampling errors
     for a, b in ((small.chains, whole.chains), (small.importance, whole.importance)):
         moved = (a.mean - b.mean) / np.hypot(a.mean_error, b.mean_error)
         assert np.abs(moved).max() < 4.0
@@ -129,17 +127,14 @@ def test_starts_are_within_the_bounds_ordered_by_misfit_and_scaled_to_the_list()
     for angles, row, told in zip(ANGLES, starts, misfits, strict=True):
         found = own.at(np.repeat(angles[None], len(row), axis=0)).predict(row)[:, : len(measured)]
         misfit = np.sqrt(np.mean(np.log(measured / found) ** 2, axis=1))
-        # with the bias of the theory a factor of all stiffnesses is not quite one of all frequencies
-        np.testing.assert_allclose(misfit, told, rtol=1e-3)
+        np.testing.assert_allclose(misfit, told, rtol=1e-3)  # with bias the factor is only approximate
         assert np.all(np.diff(misfit) >= -1e-12)
-    # a member counts with the factor on its stiffnesses that suits the list
-    n = own.n_constants
+    n = own.n_constants  # a member is used with the factor on its stiffnesses that suits the list
     truth = answer().components.fits.x[0, :n]
     moduli = [name[0] in "EG" for name in own.template.model.parameters.names[:n]]
     scaled = np.where(moduli, 0.9 * truth, truth)
     start = scanned_starts(own, answer().top[:1], scaled[None], 1)[0][0, 0, :n]
-    # all stiffnesses together set the level of all frequencies: the factor brings back the optimum,
-    # whose own residuals have a mean of less than the noise of 1 %, 2 % of a stiffness
+    # the factor on all stiffnesses restores the optimum, up to its mean residual, 2 % of a stiffness
     np.testing.assert_allclose(start, truth, rtol=0.02)
 
 
@@ -168,10 +163,9 @@ def test_a_sequence_of_the_grid_has_the_probability_of_its_class_and_one_not_lis
             given_layup(own, np.array(angles))
     first = (1, own.probability[0], own.log_evidence[0])
     assert (found.rank, found.probability, found.log_evidence) == first
-    # one that is not listed is computed
-    found = given_layup(shortened(2), own.top[2])
+    found = given_layup(shortened(2), own.top[2])  # one that is not listed is computed
     assert found.rank is None
-    # two estimates of one integral, their errors, and one point in a thousand more
+    # the errors of two estimates of one integral, plus one point in a thousand
     tolerance = 4.0 * np.hypot(found.log_evidence_error, own.log_evidence_error[2]) + 0.01
     assert found.log_evidence == pytest.approx(own.log_evidence[2], abs=tolerance)
     assert np.log(found.probability) == pytest.approx(np.log(own.probability[2]), abs=tolerance)

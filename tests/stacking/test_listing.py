@@ -32,7 +32,7 @@ def test_a_mirrored_process_is_even_and_needs_half_the_plane() -> None:
 
 
 GRID = angle_grid(20.0)
-# of this grid a right angle is a multiple
+# a right angle is a multiple of this grid's step
 GRID18 = angle_grid(18.0)
 LAYUP = parse_layup("[?/?/?/?]_s")
 CENTRE = np.array([0.3, 0.0, -0.1, 0.0])
@@ -64,7 +64,7 @@ def surrogate(floor: float, freedom: float = np.inf, halvings: int = 2):
     return piecewise_linear_surrogate(tangent, SUMS.rest_bound, 0.0, -floor, halvings, **of)
 
 
-# For each angle of the grid, the place of its negative.
+# Index of the negative of each grid angle.
 NEGATION = np.array([int(np.flatnonzero(np.isclose((a + GRID) % 180.0, 0.0))[0]) for a in GRID])
 
 
@@ -113,8 +113,7 @@ def test_sums_over_all_sequences_are_those_of_a_loop(mirrored: bool) -> None:
     assert piece.kept == inside.sum()
     assert piece.kept + piece.left_out == len(EVERY) == 9**4
     weight = np.exp(value) * inside
-    # scores are linear for this surface; its values are kept in single precision
-    assert piece.mass.sum() == pytest.approx(weight.sum(), rel=1e-5)
+    assert piece.mass.sum() == pytest.approx(weight.sum(), rel=1e-5)  # linear scores, single precision
     assert piece.weight.sum() == pytest.approx(weight.sum(), rel=1e-5)
     assert piece.entropy == pytest.approx(np.sum(weight * value), rel=1e-5)
     marginal = np.stack([np.bincount(EVERY[:, j], weight, minlength=9) for j in (1, 2, 3)])
@@ -149,14 +148,13 @@ def test_a_share_of_the_sequences_stands_for_all_but_those_that_are_listed(seed:
     every, some = listed_by(whole), listed_by(replace(whole, share=3, mixed=mixed))
     assert 0 < len(every.listed) < 400
     np.testing.assert_array_equal(some.listed, every.listed)
-    # 9^4 sequences, of which a third is looked at: 2 % is four standard errors of that sum
-    assert some.mass.sum() == pytest.approx(every.mass.sum(), rel=0.02)
+    assert some.mass.sum() == pytest.approx(every.mass.sum(), rel=0.02)  # 2 % is four standard errors
     assert some.kept == pytest.approx(every.kept, rel=0.02)
     np.testing.assert_allclose(some.inner / some.mass.sum(), every.inner / every.mass.sum(), atol=0.02)
 
 
 def listing_of(best: int, fitted: int) -> Enumeration:
-    """Of sequences that are all alike but for the best ones, 0.2 nats above; fitted : at most, one by one."""
+    """Listing of equal sequences, except for the best ones 0.2 nats above; fitted : the most one by one."""
     value = np.where(np.arange(len(EVERY)) < best, -0.3, -0.5)
     every = Enumeration(None, SUMS, 0.0, None, np.inf, value.reshape(len(GRID), -1))
     plate, settings = SimpleNamespace(source="flat.toml"), StackingSettings(max_fitted=fitted)
@@ -165,15 +163,14 @@ def listing_of(best: int, fitted: int) -> Enumeration:
 
 
 def test_a_bin_of_more_than_a_short_list_is_listed_and_sequences_that_are_all_alike_are_refused() -> None:
-    # as where the list tells little: the longest list holds too little of the mass to be worth it
+    # as for an uninformative list: the longest listing holds too little of the mass to be worth it
     assert len(listed_by(listing_of(1000, fitted=1500)).listed) == 1000
     with pytest.raises(ValueError, match=r"flat\.toml: .* about 6561 of 6561 are as probable as the best"):
         listing_of(0, fitted=100)
 
 
 def test_values_on_cells_are_those_of_their_tangents() -> None:
-    # steep as with a noise of 1e-4, where a tangent continued to zero is far from its cell
-    steep = 300.0
+    steep = 300.0  # steep as for a noise of 1e-4, where a tangent extended to zero is far from its cell
 
     def steeper(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         y, slope = tangent(x)
@@ -186,5 +183,4 @@ def test_values_on_cells_are_those_of_their_tangents() -> None:
     found = table.values(table.lookup(x[:, :4]), np.column_stack((np.ones(len(x)), x)).astype(np.float32))
     exact = log_evidence(steeper(x)[0], np.inf)
     assert len(x) > 50
-    # single precision of scores of some hundreds
-    np.testing.assert_allclose(found, exact, rtol=3e-6, atol=1e-4)
+    np.testing.assert_allclose(found, exact, rtol=3e-6, atol=1e-4)  # single precision of large scores

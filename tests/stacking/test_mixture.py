@@ -1,4 +1,4 @@
-"""The mixture over sequences: each counts as its probability says, and its conditional is the right one."""
+"""The mixture over sequences: weights by probability, and the right conditional for each."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from tests.stacking.cases import SAMPLED, answer, mixture, shortened
 pytestmark = pytest.mark.slow
 
 ONE = MixtureSettings(least=2.0)
-# Chains too short to be any good, of what is asked which and how often.
+# chains too short to be good
 FEW = replace(ONE.ensembles, walkers=12, round_steps=10, most_steps=10)
 SHORT = replace(ONE, ensembles=FEW, rounds=ONE.rounds._replace(log2_points=8, most=1))
 
@@ -33,8 +33,7 @@ def test_emcee_and_importance_sampling_agree_on_every_component() -> None:
     found = mixture()
     assert found.converged
     assert len(found.components) == 3
-    # the largest of 8 normal scores of a component, of three components: 4 is exceeded once in 600 times
-    assert max(c.worst_z for c in found.components) < 4.0
+    assert max(c.worst_z for c in found.components) < 4.0  # exceeded once in 600 times
     assert min(c.diagnostics.ess_bulk for c in found.components) >= 400.0
     assert min(c.effective for c in found.components) > 300.0
     one, other = found.components[:2]
@@ -45,23 +44,19 @@ def test_each_class_has_as_many_draws_as_its_probability_says_and_so_are_the_mom
     own, found = answer(), mixture()
     size = len(found.parameters)
     for i, share in enumerate(own.probability * own.multiplicity):
-        # systematic resampling: the number that is due, rounded up or down
-        assert abs(np.sum(found.origin == i) - size * share) <= 1.0 + 1e-6 * size
+        assert abs(np.sum(found.origin == i) - size * share) <= 1.0 + 1e-6 * size  # systematic resampling
     assert found.emcee_fraction + found.listed_fraction + found.drawn_fraction == pytest.approx(1.0)
     assert found.by_emcee.mean() == pytest.approx(found.emcee_fraction, abs=1.0 / size)
-    # all images of a class are drawn alike
-    angles = found.angles_deg[found.origin == 0]
+    angles = found.angles_deg[found.origin == 0]  # all images of a class are drawn equally often
     images = own.grid_deg[members(own.components.sequences[0], own.symmetries)]
     share = [np.mean(np.all(angles == image, axis=1)) for image in images]
     assert sum(share) == pytest.approx(1.0)
-    # four standard deviations of a share of one half
-    np.testing.assert_allclose(share, 1.0 / len(images), atol=2.0 / np.sqrt(len(angles)))
-    # moments are those of the weighted components
-    weight = (own.probability * own.multiplicity)[: len(found.components)]
+    np.testing.assert_allclose(share, 1.0 / len(images), atol=2.0 / np.sqrt(len(angles)))  # four sd of 1/2
+    weight = (own.probability * own.multiplicity)[: len(found.components)]  # of the weighted components
     of_each = [c.importance for c in found.components]
     mean = np.average([c.mean for c in of_each], axis=0, weights=weight)
     sd = np.sqrt(np.average([c.sd**2 + (c.mean - mean) ** 2 for c in of_each], axis=0, weights=weight))
-    # some 900 effective draws of the first class, and as many of importance sampling
+    # about 900 effective draws of the first class, and as many of importance sampling
     np.testing.assert_allclose(found.parameters.mean(axis=0), mean, atol=4.0 * sd.max() / 20.0, rtol=0.0)
     np.testing.assert_array_less(np.abs(found.parameters.mean(axis=0) - mean) / sd, 0.2)
     np.testing.assert_allclose(found.parameters.std(axis=0), sd, rtol=0.2)
@@ -88,8 +83,7 @@ def test_a_sequence_that_is_asked_for_is_sampled_too() -> None:
     third = given_layup(own, own.top[2])
     found = sample_mixture(own, 0, given=third, settings=SHORT)
     assert (found.given.index, len(found.components), len(found.sampled)) == (2, 1, 2)
-    # the same work as where it is one of the most probable
-    most_probable = sample_mixture(own, 0, settings=replace(SHORT, least=SAMPLED))
+    most_probable = sample_mixture(own, 0, settings=replace(SHORT, least=SAMPLED))  # as if most probable
     np.testing.assert_array_equal(found.given.draws, most_probable.components[2].draws)
 
 

@@ -1,4 +1,4 @@
-"""The posterior over stacking sequences, against brute force, and against an evidence known otherwise."""
+"""The posterior over stacking sequences, against brute force and against independent evidences."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -45,7 +45,7 @@ def answer(specimen: Specimen) -> StackingPosterior:
 
 
 def distribution(answer: StackingPosterior) -> dict[tuple[float, ...], float]:
-    """Probability of every sequence that is listed, images included: mirror images alone here."""
+    """Probability of every listed sequence and its images, here only mirror images."""
     found = {}
     for angles, p in zip(answer.top, answer.probability, strict=True):
         found[tuple(angles)] = float(p)
@@ -55,19 +55,19 @@ def distribution(answer: StackingPosterior) -> dict[tuple[float, ...], float]:
 
 @pytest.mark.slow
 def test_a_symmetric_sequence_of_an_unsymmetric_laminate_has_its_common_errors() -> None:
-    """In the space of all sequences it lacks functions of stretching."""
+    """In the space of all sequences it lacks functions for stretching."""
     own = replace(unknown_plate("[?/?/0]", step=45.0), measurement=builtin("C1").measurement)
     full = converged_model(own, angle_parameters(own).union(own.unknowns), 6)
     model: Any = SimpleNamespace(full=full, n_modes=6, parameters=full.parameters)
     constants = reference_vector(own, own.unknowns)
     for angles in ((0.0, 0.0), (45.0, 0.0)):
         errors = stacking._in_common(own, model, np.array(angles), constants)
-        # of a thin plate thickness and density, 1 % each, move all modes by 1 and 0.5 %
+        # for a thin plate thickness and density, 1 % each, shift all modes by 1 and 0.5 %
         np.testing.assert_allclose(np.linalg.norm(errors, axis=0), np.hypot(0.01, 0.005), rtol=0.2)
 
 
 def test_errors_in_common_are_those_of_modes_that_cross_on_the_way_to_the_list() -> None:
-    """Two modes change places between the reference and the plate, and sides are known to 1 %."""
+    """Two modes cross between the reference and the plate, and sides are known to 1 %."""
     asked = described((310.0, 228.0, 3.1), 0.0, SHEET, layup="[0_2/?/0]_s")
     asked["plate"] |= {"mass_g": 340.7, "sd": {"length_mm": 3.1, "width_mm": 2.28, "thickness_mm": 0.02}}
     del asked["plate"]["density_kg_m3"]
@@ -133,12 +133,11 @@ def test_the_evidence_of_a_sequence_is_that_of_the_known_layup(relative_std: flo
         of_known = reduced_model(known, known.unknowns, 6)
         posterior = plate_posterior(of_known, specimen.measurement, np.full(6, 1e-4))
         exact = known_evidence(posterior, start[None])
-        # two estimates with their own errors, and two reduced models that differ by 1e-4 of a frequency
-        tolerance = 4 * np.hypot(exact.standard_error, found.error[i]) + 0.02
+        tolerance = 4 * np.hypot(exact.standard_error, found.error[i]) + 0.02  # models differ by 1e-4 of f
         assert found.log_evidence[i] == pytest.approx(exact.log_evidence, abs=tolerance)
 
 
-# Few sequences, treated as if they were many.
+# few, treated like many
 TRAINING = TrainingSettings(initial=60, each_round=40, max_size=160, log2_points=5)
 FORCED = replace(QUICK, exhaustive=0, training=TRAINING)
 
@@ -153,8 +152,7 @@ def test_the_surrogate_gives_what_brute_force_gives_with_any_number_of_workers(s
     assert surrogate.check is not None
     assert answer.check is None
     p, q = distribution(answer), distribution(surrogate)
-    # two lists of 72 classes, which are all of the 12^2 sequences here
-    assert 0.5 * sum(abs(p.get(s, 0.0) - q.get(s, 0.0)) for s in set(p) | set(q)) <= 0.01
+    assert 0.5 * sum(abs(p.get(s, 0.0) - q.get(s, 0.0)) for s in set(p) | set(q)) <= 0.01  # all 72 classes
     np.testing.assert_allclose(surrogate.marginals, answer.marginals, atol=0.01)
     assert surrogate.log_evidence_total == pytest.approx(answer.log_evidence_total, abs=0.02)
     assert surrogate.unaccounted <= DEFAULT_SETTINGS.unaccounted
@@ -177,12 +175,11 @@ def test_of_1296_sequences_pruned_and_by_surrogate_the_distribution_is_that_of_b
     found = stacking_posterior(specimen, 0, settings=pruned)
     p, q = distribution(exact), distribution(found)
     assert sum(p.values()) == pytest.approx(1.0, abs=1e-9)
-    # of those that are listed with their probability, and of the rest as a whole
+    # listed ones by their probability, and the rest as a whole
     distance = sum(abs(p[s] - q[s]) for s in q) + abs(sum(q.values()) - sum(p[s] for s in q))
     assert 0.5 * distance <= 0.01
     assert 0.5 * np.abs(found.marginals - exact.marginals).sum(axis=1).max() <= 0.01
-    # the points of the sampling are the same for every sequence, and so is most of their error
-    error = float(np.median(exact.log_evidence_error[:20]))
+    error = float(np.median(exact.log_evidence_error[:20]))  # shared points, shared errors
     assert found.log_evidence_total == pytest.approx(exact.log_evidence_total, abs=1.5 * error)
     assert found.credible_count == pytest.approx(exact.credible_count, abs=2 + 0.03 * exact.credible_count)
     assert found.effective_count == pytest.approx(exact.effective_count, rel=0.03)
@@ -190,7 +187,7 @@ def test_of_1296_sequences_pruned_and_by_surrogate_the_distribution_is_that_of_b
 
 @pytest.mark.slow
 def test_of_a_hybrid_the_sequence_and_a_modulus_of_each_material_are_found() -> None:
-    # glass inside carbon, its plies at 45 and -45 degrees; off 0 and 90 a mirror image cannot be told apart
+    # glass within carbon, its plies at 45 and -45 degrees; off 0 and 90 a mirror image is indistinguishable
     truth, asked = hybrid(), hybrid(layup="[c0_2/g?/g?/c90]_s")
     f = cb.forward(truth, n_modes=8).frequencies
     of_each = {"carbon": {"E1_GPa": [80.0, 200.0]}, "glass": {"E1_GPa": [20.0, 80.0]}}
@@ -210,20 +207,18 @@ def test_the_truth_is_among_the_few_sequences_that_are_good_with_more_noise() ->
     layup, truth, step = "[(?/?/?)_2]_s", (30.0, -60.0, 10.0), 10.0
     few = TrainingSettings(initial=60, exploration_rounds=3, each_round=40, max_size=180, log2_points=4)
     settings = replace(QUICK, exhaustive=0, training=few)
-    # so thin that the error of theory leaves the peak as narrow as the noise makes it
+    # so thin that the error of theory leaves the peak as narrow as the noise does
     problem = stacking_problem(listed(layup, step, truth, 0.0003, 0.0008), 0, settings=settings)
     true = members(np.searchsorted(problem.grid_deg, truth), problem.symmetries)
     for seed in (0, 1):
         seeds = noisier_seeds(problem, problem.sums, np.random.default_rng(seed), lambda text: None)
         assert any(np.any(np.all(true == one, axis=1)) for one in seeds)
-        # of 5832 sequences, of which 180 are looked at
-        assert len(seeds) < 20
+        assert len(seeds) < 20  # among 5832 sequences, of which 180 are evaluated
     noisy = stacking_problem(listed(layup, step, truth), 0, settings=settings)
     assert noisier_seeds(noisy, problem.sums, np.random.default_rng(0), lambda text: None) is None
 
 
-# A thickness that is known roughly, and exact sizes.
-ROUGH = {"thickness_mm": 0.06, "density_kg_m3": 0.0, "length_mm": 0.0, "width_mm": 0.0}
+ROUGH = {"thickness_mm": 0.06, "density_kg_m3": 0.0, "length_mm": 0.0, "width_mm": 0.0}  # a rough thickness
 
 
 def test_a_thickness_that_is_known_roughly_counts_in_the_evidence() -> None:
@@ -240,8 +235,7 @@ def test_a_thickness_that_is_known_roughly_counts_in_the_evidence() -> None:
     spread = np.hypot(noise, np.hypot(ROUGH["thickness_mm"] / 2.1, 0.5 * e1_sd / 132.0))
     expected = norm.logpdf(away / spread) - np.log(spread * listed_hz)
     assert answer.log_evidence[first] == pytest.approx(expected, abs=0.1)
-    # the thickness as stated would cost as much as this
-    assert away**2 / (2.0 * (noise**2 + (0.5 * e1_sd / 132.0) ** 2)) > 2.0
+    assert away**2 / (2.0 * (noise**2 + (0.5 * e1_sd / 132.0) ** 2)) > 2.0  # the stated thickness costs this
 
 
 @pytest.mark.slow
@@ -274,7 +268,7 @@ def test_a_focus_within_a_tolerance_for_most_frequencies_has_fewer_vectors(speci
     exact = own.model.predict(x).frequencies
     assert np.max(every.predict(x).frequencies / exact - 1.0) <= 2e-3
     off = most.predict(x).frequencies / exact - 1.0
-    assert np.mean(off <= 2e-3) >= 0.85  # 0.9 of each block's; sorted among the blocks they may change places
+    assert np.mean(off <= 2e-3) >= 0.85  # 0.9 per block; sorted among the blocks they may swap places
     assert np.max(off) > 2e-3
 
 
@@ -297,7 +291,7 @@ def test_unsure_evidences_are_those_of_the_whole_model_on_bases_of_their_own(spe
     narrow = importance_evidence(own, angles, fits, settings=replace(unsure, large=1))
     assert len(sizes) == 2 * len(angles), "each sequence, at either number of points"
     assert max(sizes) < 0.7 * sum(b.size for b in own.model.fast.operator.blocks)
-    # an error of a frequency, in standard deviations of the noise, counts as often as the misfit has of them
+    # an error of a frequency, in noise standard deviations, is multiplied by the misfit in these
     misfit = np.sqrt(2.0 * (whole.log_evidence.max() - whole.log_evidence))
     assert np.all(np.abs(narrow.log_evidence - whole.log_evidence) < 0.01 * np.maximum(misfit, 1.0))
     np.testing.assert_allclose(narrow.mean, whole.mean, rtol=0.01)

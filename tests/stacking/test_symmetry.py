@@ -1,4 +1,4 @@
-"""Sequences that no frequency tells apart: motions that count, their classes, equal bending stiffness."""
+"""Sequences that no frequency tells apart: relevant symmetries, their classes, equal bending stiffness."""
 
 from dataclasses import replace
 from functools import cache
@@ -18,10 +18,9 @@ from cpam_bayes.stacking.symmetry import canonical, classes, image, members, pla
 from tests.stacking.cases import SIDE, frequencies, unknown_plate, with_layup
 
 MIRROR, TURN, DIAGONAL = "mirror image", "quarter turn", "diagonal mirror image"
-# A symmetry of the plate is one of the space too: only rounding is left, 1e-16 of the range of K.
+# A symmetry of the plate is one of the space too: only rounding remains, 1e-16 of the range of K.
 ROUNDING = 1e-9
-# Shifts of frequencies that are real: far above rounding.
-REAL = 1e-4
+REAL = 1e-4  # Real shifts of frequencies, far above rounding.
 
 
 def names(specimen: Specimen) -> list[str]:
@@ -32,8 +31,7 @@ def find(specimen: Specimen, name: str) -> module.Symmetry:
     return plate_symmetries(specimen)[names(specimen).index(name)]
 
 
-# Every member of a class has the same frequencies. Cases: what the plate has other than the square, and the
-# symmetries that there must be.
+# Members of a class have the same frequencies. Cases: changes of the square plate, and its symmetries.
 AROUND = tuple(Sensor(0.05, x, y) for x, y in ((0.03, 0.07), (0.13, 0.03), (0.17, 0.13), (0.07, 0.17)))
 OVER = "upside down"
 CASES = {
@@ -111,20 +109,16 @@ def test_angles_of_an_image_are_those_of_the_motion(step: float) -> None:
 
 
 def test_a_grid_sizes_labels_and_a_mesh_may_leave_fewer_symmetries() -> None:
-    # 18 turns into 108, that is -72, which is no angle of the grid -54 -18 18 54 90
-    assert names(unknown_plate(step=36.0)) == [MIRROR]
+    assert names(unknown_plate(step=36.0)) == [MIRROR]  # 18 turns into -72, not on the grid
     assert names(unknown_plate(step=90.0)) == [TURN], "mirroring changes neither 0 nor 90"
-    # a known angle off the grid
-    assert names(unknown_plate("[22.5/?/?]", width=0.15)) == []
+    assert names(unknown_plate("[22.5/?/?]", width=0.15)) == []  # a known angle off the grid
     assert names(unknown_plate("[22.5/?/-22.5]", width=0.15)) == [f"{MIRROR} {OVER}"]
     square = unknown_plate()
     for sd, expected in (({"length": 1e-4, "width": 1e-4}, 3), ({"length": 1e-4}, 1)):
         assert len(plate_symmetries(replace(square, plate=replace(square.plate, sd=sd)))) == expected
-    # labels tell along from across
-    labels = ("(1,1)", *[""] * (square.measurement.size - 1))
+    labels = ("(1,1)", *[""] * (square.measurement.size - 1))  # labels distinguish along from across
     assert names(replace(square, measurement=replace(square.measurement, labels=labels))) == [MIRROR]
-    # a mesh is not looked into
-    unsymmetric = unknown_plate("[?/?]")
+    unsymmetric = unknown_plate("[?/?]")  # meshes are not examined
     meshed = replace(unsymmetric, plate=replace(unsymmetric.plate, mesh=Path("plate.msh")))
     assert module.plane_motions(meshed) == ("",)
     assert names(meshed) == ["upside down"]
@@ -139,7 +133,7 @@ def test_sequences_that_do_not_fit_are_refused() -> None:
         canonical(np.zeros((1, 13), dtype=int), many)
 
 
-# with a square, with a rectangle, and with no symmetry at all
+# square, rectangle, asymmetric
 SQUARE = ("[?/?/?]_s", "[0/?/?/?]", "[?_2/?/?]", "[(?/?)_2]", "[0/?/?/90]")
 PLATES = (*((layup, SIDE) for layup in SQUARE), ("[45/?/?/-45]", 0.15), ("[22.5/?/?]", 0.15))
 
@@ -150,8 +144,7 @@ def test_classes_are_the_orbits_of_the_symmetries(layup: str, width: float) -> N
     symmetries = plate_symmetries(specimen)
     rows = np.array(list(product(range(6), repeat=specimen.plate.layup.n_unknown)))
     orbits = canonical(rows, symmetries)
-    # the slow way: images one row at a time
-    for i, row in enumerate(rows):
+    for i, row in enumerate(rows):  # slowly: images one row at a time
         orbit = {tuple(row)}
         for symmetry in symmetries:
             moved, holds = image(row[None], symmetry)
@@ -159,8 +152,7 @@ def test_classes_are_the_orbits_of_the_symmetries(layup: str, width: float) -> N
                 orbit.add(tuple(moved[0]))
         assert (tuple(orbits.representative[i]), orbits.size[i]) == (min(orbit), len(orbit))
         assert {tuple(m) for m in members(row, symmetries)} == orbit
-    # orbits that share a member are the same orbit
-    again = canonical(orbits.representative, symmetries)
+    again = canonical(orbits.representative, symmetries)  # orbits with a common member are equal
     assert np.array_equal(again.representative, orbits.representative)
     assert np.array_equal(again.size, orbits.size)
     found = classes(rows, symmetries)
@@ -177,8 +169,7 @@ def test_a_class_is_counted_whole_when_few_of_its_members_are_there_and_in_a_sta
     found = classes(all_of_it[[0, 2]], symmetries)
     assert (found.size.tolist(), found.present.tolist(), found.label.tolist()) == ([4], [2], [0, 0])
     assert len(classes(all_of_it[:0], symmetries).size) == 0
-    # a stack longer than a block is handled alike
-    symmetries = plate_symmetries(unknown_plate("[0/?/?/?]", step=5.0))
+    symmetries = plate_symmetries(unknown_plate("[0/?/?/?]", step=5.0))  # a stack longer than a block
     rows = np.random.default_rng(0).integers(0, 36, (300_000, 3)).astype(np.uint8)
     orbits, part = canonical(rows, symmetries), slice(140_000, 140_100)
     alone = canonical(rows[part], symmetries)
@@ -187,10 +178,9 @@ def test_a_class_is_counted_whole_when_few_of_its_members_are_there_and_in_a_sta
     assert np.array_equal(orbits.size[part], alone.size)
 
 
-# 6^3 - 5^3 + 2^3 - 1^3 = 5^3 - 3^3: the first and the fifth ply weigh as much as the second and the third.
+# 6^3 - 5^3 + 2^3 - 1^3 = 5^3 - 3^3: the first and fifth plies count as much as the second and third.
 LAYUP = "[?/?/?/0/?/0]_s"
-# Thickness over that of C1: length over thickness 200, and 16.
-THIN, THICK = 0.4, 5.0
+THIN, THICK = 0.4, 5.0  # Thickness relative to C1's: length over thickness 200 and 16.
 
 
 def specimen(thickness: float) -> Specimen:
@@ -244,15 +234,13 @@ def test_classes_of_equal_bending_are_merged_where_the_plate_is_thin() -> None:
     assert sorted(found.grid_deg[found.class_members(row)].tolist()) == [[0, 90, 90, 0], [90, 0, 0, 90]]
     assert found.multiplicity[row] == 2
     assert len(found.same_bending[row]) == len(found.alike[row]) == 1
-    # what is merged stands in one class only
-    everyone = np.concatenate([found.class_members(i) for i in range(len(found.top))])
+    everyone = np.concatenate([found.class_members(i) for i in range(len(found.top))])  # in one class only
     assert len(np.unique(everyone, axis=0)) == len(everyone) == found.multiplicity.sum()
     assert np.all(np.diff(found.probability) <= 1e-15)
     assert float(found.probability @ found.multiplicity) <= 1.0 + 1e-9
     rows = np.repeat(np.arange(len(found.top)), found.multiplicity)
     assert found.classes_of(everyone).tolist() == rows.tolist()
-    # a thick plate tells them apart by its shear
-    thick = answer(THICK)
+    thick = answer(THICK)  # a thick plate tells them apart by its shear
     row = row_of(thick, [0, 90, 90, 0])
     assert row != row_of(thick, [90, 0, 0, 90])
     assert thick.grid_deg[thick.same_bending[row]].tolist() == [[90, 0, 0, 90]]

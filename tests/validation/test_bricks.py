@@ -1,4 +1,4 @@
-"""Plates of bricks with flaws: what stands in their decks, and what CalculiX makes of them."""
+"""Plates of bricks with flaws: the content of their decks, and CalculiX's results."""
 
 import json
 from dataclasses import replace
@@ -33,13 +33,11 @@ def deck_of(flaws: Flaws, edges: str = "FFFF") -> Deck:
 
 
 def solved(flaws: Flaws, specimen: Specimen | None = None) -> np.ndarray:
-    """The first four frequencies by CalculiX, by default of the free plate."""
     specimen = specimen or plate()
     return flawed_frequencies(specimen, reference_constants(specimen), 4, flaws, in_plane=IN_PLANE)
 
 
 def block(deck: str, keyword: str) -> list[list[float]]:
-    """The data lines of the first card that begins with a keyword."""
     after = deck.split(f"{keyword}\n", 1)[1].split("*", 1)[0]
     return [[float(v) for v in line.split(",") if v.strip()] for line in after.strip().splitlines()]
 
@@ -74,8 +72,7 @@ def test_a_patch_is_softer_by_its_fraction_and_as_large_as_asked() -> None:
     plies, soft = (np.concatenate(block(deck, card.format(name))) for name in ("PLY", "SOFT"))
     is_poisson = np.arange(9) // 3 == 1
     assert_allclose(soft, np.where(is_poisson, plies, 0.4 * plies), rtol=1e-9)
-    # an element has two lines, the number of the element first
-    rows = block(deck, "*ELEMENT, TYPE=C3D20R, ELSET=SOFT_1")
+    rows = block(deck, "*ELEMENT, TYPE=C3D20R, ELSET=SOFT_1")  # two lines, which begin with the number
     numbers = {n for row in rows[::2] for n in row[1:]}.union(*rows[1::2])
     xy = np.array([row[1:3] for row in block(deck, "*NODE, NSET=ALL") if row[0] in numbers])
     assert_allclose([xy.min(axis=0), xy.max(axis=0)], [[0.051, 0.033], [0.083, 0.074]], atol=1e-12)
@@ -108,7 +105,7 @@ def test_a_file_of_a_case_is_its_plate_with_its_noise(name: str) -> None:
     assert saved == plate_file(case, listed_frequencies(case, np.array(truth["bricks_hz"])))
     assert (truth["cause"], tuple(truth["constants"][k] for k in CONSTANTS)) == (case.cause, case.constants)
     assert cb.read_plate(str(BRICKS / f"{name}.toml")).name == name
-    # the file tells nothing of the truth
+    # the file reveals nothing of the truth
     assert set(plate_of(case)) == {"name", "plate", "material", "unknowns"}
     assert case.reference != case.constants
 
@@ -135,8 +132,7 @@ def test_stiff_springs_are_a_clamp_and_soft_ones_are_not() -> None:
 @pytest.mark.needs_ccx
 def test_heat_is_of_first_order_and_a_taper_of_second_on_a_free_plate() -> None:
     cold, none, warm = (solved(Flaws(heat=h))[0] for h in (Heat(-2e-5), None, Heat(2e-5)))
-    # to first order in the stress
-    assert warm - none == pytest.approx(none - cold, rel=0.1)
+    assert warm - none == pytest.approx(none - cold, rel=0.1)  # to first order in the stress
     assert abs(warm / none - 1.0) > 1e-3
     there, back = (solved(Flaws(taper=(t, 0.0))) for t in (0.05, -0.05))
     assert_allclose(there, back, rtol=1e-6)

@@ -21,14 +21,12 @@ from validation import draw_store, sequences
 from validation.draw_store import DrawStore, stored_calibration
 
 N_RANKS = N_DRAWS + 1
-# A short chain for a short test; the full study has longer ones.
+# Short chains for a short test; the full study has longer ones.
 BRIEF = EnsembleSettings(walkers=16, round_steps=160, r_hat=1.1, effective=99.0, most_steps=1600, lengths=5.0)
 
 
 @dataclass(frozen=True)
 class LinearSource:
-    """Frequencies of the linear model, known to a relative error."""
-
     solver_error: float = 1e-4
 
     def __call__(self) -> calibration.Nature:
@@ -39,7 +37,7 @@ LINEAR = Experiment(LinearSource(), 0.5, None, 5, BRIEF, SwarmSettings(particles
 
 
 def gaussian_ranks(n: int, rng: np.random.Generator, sd: float = 1.0, shift: float = 0.0) -> np.ndarray:
-    """Ranks of truths among draws of a Gaussian posterior whose sd and mean are wrong, (n, 1)."""
+    """Ranks (n, 1) of truths among draws of a Gaussian posterior with a wrong sd and mean."""
     centre = rng.standard_normal((n, 1))
     truth = centre + rng.standard_normal((n, 1))
     draws = centre + shift + sd * rng.standard_normal((n, N_DRAWS))
@@ -54,12 +52,10 @@ def test_uniform_ranks_are_refused_as_often_as_the_level_says_and_those_of_wrong
     rng = np.random.default_rng(1)
     found = [statistics(gaussian_ranks(200, rng), simulations=300).parameters[0] for _ in range(200)]
     p = np.array([(one.chi_square_p, one.ecdf_p) for one in found])
-    # 200 tables at the level of 5 %: 10 refused, sd 3.1
-    refused = np.sum(p < 0.05, axis=0)
+    refused = np.sum(p < 0.05, axis=0)  # 200 tables at the level of 5 %: 10 rejected, sd 3.1
     low, high = binom.ppf((0.001, 0.999), 200, 0.05)
     assert np.all((refused >= low) & (refused <= high))
-    # a posterior that is wrong by a fifth is refused
-    for sd, shift in ((0.8, 0.0), (1.2, 0.0), (1.0, 0.25), (1.0, -0.25)):
+    for sd, shift in ((0.8, 0.0), (1.2, 0.0), (1.0, 0.25), (1.0, -0.25)):  # wrong by a fifth
         own = statistics(gaussian_ranks(500, np.random.default_rng(2), sd, shift))
         assert own.parameters[0].corrected_p < 0.01
         cumulative = own.parameters[0].cumulative[:-1]
@@ -73,8 +69,7 @@ def test_bands_hold_uniform_counts_simultaneously() -> None:
     cumulative, bins = np.cumsum(counts, axis=1)[:, :-1], counts.reshape(2000, 20, 5).sum(axis=2)
     for rows, own in ((cumulative, band.ecdf_band), (bins, band.histogram_band)):
         held = np.mean(np.all((rows >= own.lower) & (rows <= own.upper), axis=1))
-        # 4000 simulated and 2000 tried rows give it to 0.006; counts are whole numbers, so it may hold more
-        assert 0.93 < held < 0.985
+        assert 0.93 < held < 0.985  # accurate to 0.006; counts are integers, so it may cover more
 
 
 def test_holm_multiplies_the_smallest_by_the_number_and_never_falls() -> None:
@@ -125,10 +120,8 @@ def check(found: tuple[calibration.Repetition, ...]) -> None:
     assert min(p.corrected_p for p in own.parameters) > 0.01
     for column in below.T:
         for c in coverage(column):
-            # each of some fifteen shares within 3.3 binomial standard errors: all are in 98.6 of 100
-            assert abs(c.share - c.level) <= 3.3 * c.standard_error + 1e-9
-    # ranks and shares tell the same: a rank among 99 of many draws errs by 5 at most in one sd
-    assert np.sqrt(np.mean((ranks / N_DRAWS - below) ** 2)) < 0.07
+            assert abs(c.share - c.level) <= 3.3 * c.standard_error + 1e-9  # all fifteen in 98.6 of 100
+    assert np.sqrt(np.mean((ranks / N_DRAWS - below) ** 2)) < 0.07  # a rank has an sd of at most 5
 
 
 @pytest.mark.slow
@@ -166,8 +159,7 @@ def test_repetitions_are_the_same_bit_for_bit_whoever_computes_them(path: Path) 
         assert calibrate(FAST, 7, executor=pool, batch_size=3) == alone
     assert stored_calibration(FAST, 7, path) == alone
     assert calibrate(replace(FAST, seed=4), 2)[0] != alone[0], "another seed, other lists"
-    # a repetition depends on its number alone
-    assert repeat(FAST, 5) == alone[5]
+    assert repeat(FAST, 5) == alone[5]  # a repetition depends only on its number
 
 
 @pytest.mark.parametrize("cut", [1, 60, 400])
@@ -180,7 +172,7 @@ def test_a_killed_run_goes_on_from_its_last_whole_line(path: Path, cut: int, mon
     whole = stored_calibration(FAST, 5, path, progress=count)
     assert lines == {n: n + 1 for n in range(1, 6)}, "a repetition has its line as soon as it is there"
     content = path.read_bytes()
-    path.write_bytes(content[:-cut])  # the last record and perhaps one before it are torn
+    path.write_bytes(content[:-cut])  # the last record and perhaps the one before are torn
     computed = []
     monkeypatch.setattr(calibration, "repeat", lambda own, i: computed.append(i) or repeat(own, i))
     assert stored_calibration(FAST, 5, path) == whole
@@ -238,8 +230,7 @@ SINGLE, SIZE = np.array([0.3, 0.1, 0.1, 0.05]), np.array([2, 1, 2, 2])
 
 
 def test_the_place_is_the_probability_of_what_comes_before() -> None:
-    # classes 1 and 2 are equally probable, so they share a place
-    assert sequences.randomised_place(SINGLE, SIZE, 0, 0.0) == 0.0
+    assert sequences.randomised_place(SINGLE, SIZE, 0, 0.0) == 0.0  # 1 and 2 share a place
     for true, u, place in ((0, 1.0, 0.6), (1, 0.5, 0.75), (2, 0.5, 0.75), (3, 1.0, 1.0)):
         assert sequences.randomised_place(SINGLE, SIZE, true, u) == pytest.approx(place)
 
@@ -263,8 +254,7 @@ def test_sets_of_simulated_plates_hold_the_true_sequence() -> None:
     found = sequences.stacking_coverage(specimen(), 24, 0, settings=settings)
     assert [t.number for t in found] == list(range(24))
     assert sequences.summarised(found).passes
-    # and not because they hold everything: uniform places, half of them in the smaller half
-    assert sequences.summarised(found, 0.5).passes
+    assert sequences.summarised(found, 0.5).passes  # not because they contain everything
     assert sequences.summarised(found).p_uniform > 0.01
     assert max(t.set_size for t in found) < 36
     assert sequences.stacking_coverage(specimen(), 2, 0, settings=settings) == found[:2]

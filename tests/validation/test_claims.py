@@ -1,4 +1,4 @@
-"""The benchmark of claims: lists that hold what they say, scores as a user reads, other methods."""
+"""The benchmark of claims: lists with their stated content, scores as a user reads them, other methods."""
 
 import json
 import subprocess
@@ -34,12 +34,12 @@ def test_saved_results_come_back_and_cases_that_were_not_run_again_stay_in_order
     both = with_saved(new, path, ("C1", "D1", "D3"))
     assert both == {"seeds": 20, "cases": kept, "cost": [{"case": "D1", "s": 4}]}
     assert new["cases"] == [{"case": "D1", "x": 7}, {"case": "C1", "x": 8}], "left as they are"
-    # a case may be named otherwise
+    # a case may have another name
     save_results(path, {"groups": [{"plates": ["C1", "C2"]}, {"plates": ["C1"], "p": 1}]})
     groups = {"groups": [{"plates": ["C1"], "p": 2}]}
     both = with_saved(groups, path, [("C1",), ("C1", "C2")], lambda g: tuple(g["plates"]))
     assert both == {"groups": [{"plates": ["C1"], "p": 2}, {"plates": ["C1", "C2"]}]}
-    # results come back as they were, and NaN is refused before anything is lost
+    # results are read back unchanged, and NaN is refused before anything is lost
     path = tmp_path / "results" / "01.json"
     assert saved_results(path) == {}
     results = {"quick": False, "cases": [{"case": "C1", "rms": 1.5}]}
@@ -59,8 +59,7 @@ def tapered() -> tuple[str, lists.Truth]:
 
 
 def test_a_list_is_a_plate_file_that_says_what_the_truth_says(tapered: tuple[str, lists.Truth]) -> None:
-    # sought on a coarse mesh, measured on the fine one
-    assert tapered[1].extra["signal_to_noise"] == pytest.approx(16.0, rel=0.1)
+    assert tapered[1].extra["signal_to_noise"] == pytest.approx(16.0, rel=0.1)  # found on a coarse mesh
     read = cb.read_plate(tomllib.loads(tapered[0]))
     assert read.measurement.relative_std is None
     assert set(read.material.sd) == set(tapered[1].constants)
@@ -76,7 +75,7 @@ def test_a_weighed_plate_states_what_it_weighs_and_a_wrong_density_is_a_wrong_we
     light, _ = lists.listed(own, own.plate, "clean", {}, np.random.default_rng(1))
     grams = [tomllib.loads(text)["plate"]["mass_g"] for text in (thin, heavy, light)]
     assert "density" not in thin
-    # a thickness of 0.8 with one per cent of gauge, one of density, 0.2 of balance
+    # a thickness of 0.8 with 1 % for the gauge, 1 % for the density, 0.2 % for the balance
     assert grams[0] == pytest.approx(0.8e3 * own.plate.total_mass, rel=0.05)
     assert grams[1] == pytest.approx(grams[2], rel=0.06)
     assert made.causes == ("thickness",)
@@ -86,8 +85,7 @@ def test_every_cause_that_elements_can_have_is_drawn_and_every_list_has_a_name_o
     assert len(sets.PLANS) == len([*drawn.plans(), *brick_lists.plans()])
     hidden = {name.split("-")[1] for name in sets.PLANS if name.startswith("strength-")}
     assert hidden == set(FLAWS)
-    # air is always there; layers and sides exchanged are hidden by tests/diagnosis/test_hidden_effects.py
-    elsewhere = {"air", "layup", "edge_mass", "soft_support", "swapped_sides"}
+    elsewhere = {"air", "layup", "edge_mass", "soft_support", "swapped_sides"}  # in test_hidden_effects.py
     of_list = {"mode_identity", "outlier", "material"}
     assert {e.name for e in CATALOGUE} - elsewhere - of_list <= hidden
     assert {scoring.GROUPS[name.split("-")[0]] for name in sets.PLANS} == set(scoring.GROUPS.values())
@@ -145,7 +143,7 @@ def test_a_claim_is_counted_as_a_user_reads_it(hidden, answered, category: str, 
 
 
 def test_saved_results_are_those_of_the_saved_answers() -> None:
-    """Scores, figures, intervals, limits, thresholds and all else; pages say what the results say."""
+    """Scores, figures, intervals, limits, thresholds and all else; pages agree with the results."""
     rounded = partial(json.loads, parse_float=lambda digits: f"{float(digits):.9g}")
     assert rounded(json.dumps(STUDY.run(False))) == rounded(json.dumps(saved("15_claims")))
 
@@ -172,8 +170,7 @@ DENSE, WEIGHED = FILE.format("density_kg_m3 = 2000"), FILE.format("mass_g = 400"
         ("membrane_stress", -1e6, {}, "MPa", {0.9: True, 1.1: False}),
         ("support", 8.0, {}, "Hz", {8.0: True}),
         ("misorientation", 2.0, {}, "deg", {2.1: False}),
-        # a part of the plate's mass: 200 g, or as weighed 400 g
-        ("sensor_mass", 0.02, {"x": 0.5, "y": 0.5}, "g", {3.9: True, 4.1: False}),
+        ("sensor_mass", 0.02, {"x": 0.5, "y": 0.5}, "g", {3.9: True, 4.1: False}),  # 200 g, or weighed 400 g
         ("soft_clamp", 2.0, {"ratio": 1.5}, "", {0.059: True, 0.061: False}),
         ("outline", 0.1, {"form": "rectangle", "ratio": 2.0}, "% of the area", {0.99: True, 1.01: False}),
         ("outline", 0.1, {"form": "ellipse", "ratio": 1.0}, "% of the area", {0.1: None}),
@@ -250,8 +247,7 @@ def test_an_answer_is_of_todays_code_only_if_it_was_given_by_it(tmp_path: Path, 
     monkeypatch.setattr(seal, "provenance", lambda tree: {"commit": "c0ffee"})
     own = STUDY._provenance(STUDY.HERE.parent)
     assert own == {"commit": "c0ffee", "fingerprint": fingerprints.fingerprint_of_study("15_claims")}
-    # of another tree nothing is known
-    assert STUDY._provenance(tmp_path) == {"commit": "c0ffee"}
+    assert STUDY._provenance(tmp_path) == {"commit": "c0ffee"}  # nothing is known of another tree
     entries = [{"id": f"clean-{k}", "file": DENSE, "truth": truth("warp")} for k in (1, 2)]
     path = tmp_path / "15_claims.json"
     for second, of in ((STUDY._provenance(tmp_path), fingerprints.UNKNOWN), (own, own["fingerprint"])):
@@ -281,7 +277,7 @@ def test_saved_lists_are_those_that_their_seeds_and_names_make(name: str) -> Non
     assert json.loads(sets.line_of(sets.made(seed, name))) == saved_lists(of)[name]
 
 
-# Eight modes and three causes: with a size alone, at a place (three parameters), a misread frequency.
+# a size alone, a place (three parameters), a misread frequency
 FIRST, SECOND = np.eye(8)[:1], np.eye(8)[1:2]
 SEEN = references.Whitened(
     np.array([9.0, 0, 0, 0, 0, 0, 0, 2.0]),
@@ -297,12 +293,11 @@ def test_a_statistic_is_how_much_better_than_nothing_a_method_is_for_its_number_
     margin = pytest.approx((85.0 - left) / 3.8415, rel=1e-4)
     assert references._likelihood_ratio(SEEN) == (["taper_x"], margin)
     assert references._matching_pursuit(SEEN) == (["outlier"], pytest.approx(81.0))
-    # more parameters cost more: all three explain the residual alike: 1, 3 and 2 parameters
-    alike = ("damage", "outlier", "taper_x")
+    alike = ("damage", "outlier", "taper_x")  # equally good, with 1, 3 and 2 parameters
     for causes, free in ((alike, 1), (alike[:2], 2), (alike[:1], 3)):
         seen = replace(SEEN, atoms=dict.fromkeys(causes, 9 * FIRST))
         assert references._criterion(seen) == ([causes[-1]], pytest.approx(81.0 - free * np.log(8.0)))
-        # the first of those of one likelihood
+        # the first of those with equal likelihood
         assert references._likelihood_ratio(seen)[1] == pytest.approx(81.0 / 7.8147, rel=1e-4)
 
 
@@ -329,8 +324,7 @@ def test_simple_methods_know_a_taper_a_misread_frequency_and_a_missed_mode(taper
         assert all(record["statistic"] > 0.0 for record in found.values())
 
 
-# Statistics of right answers and of wrong ones.
-SCORED = ((9.0, 7.0, 6.0, 4.0), (8.0, 5.0, 3.0, 2.0))
+SCORED = ((9.0, 7.0, 6.0, 4.0), (8.0, 5.0, 3.0, 2.0))  # Statistics of right answers and of wrong ones.
 
 
 @pytest.mark.parametrize(
@@ -342,10 +336,8 @@ SCORED = ((9.0, 7.0, 6.0, 4.0), (8.0, 5.0, 3.0, 2.0))
         (*SCORED, (1, 5), 6.0, (3, 1)),
         (*SCORED, (2, 8), 4.0, (4, 2)),
         (*SCORED, (1, 1), 2.0, (4, 4)),
-        # lists of one statistic are claimed together
-        ((8.0, 7.0), (7.0,), (0, 3), 8.0, (1, 0)),
-        # the surest claim is wrong too often
-        ((8.0,), (9.0,), (0, 2), None, (0, 0)),
+        ((8.0, 7.0), (7.0,), (0, 3), 8.0, (1, 0)),  # lists with equal statistics are claimed together
+        ((8.0,), (9.0,), (0, 2), None, (0, 0)),  # the surest claim is wrong too often
     ],
 )
 def test_a_threshold_is_the_least_that_keeps_the_rate_of_wrong_claims(right, wrong, rate, least, claimed):
@@ -391,14 +383,13 @@ def test_simple_methods_answer_first_what_was_diagnosed_and_nothing_twice(tmp_pa
 
 LISTS = {r["id"]: r for r in answering.asked(DATA / "sealed.jsonl")}
 OURS = answering.answered(DATA / "answers" / "sealed_diagnosis.jsonl")
-# Kept by the project: what a score may not change.
+# Files of the project that a score may not change.
 RESULTS, PAGES = (PROJECT / "studies" / "results").iterdir(), (PROJECT / "docs").glob("*.md")
 KEPT = (*RESULTS, *PAGES, *(DATA / "answers").iterdir(), PROJECT / "README.md")
 ANSWERED = [name for name in OURS if LISTS[name]["truth"]["causes"]][:3]
 
 
 def told(name: str) -> dict[str, Any]:
-    """A right answer to a list, in the least that a line has."""
     causes = ["damage" if cause == "other" else cause for cause in LISTS[name]["truth"]["causes"]]
     return {"id": name, "claim": "class", "causes": causes}
 
@@ -447,8 +438,7 @@ def test_without_probabilities_and_constants_only_claims_are_scored(tmp_path: Pa
     figures = {row["what"]: row["number"] for row in scoring.figures(scores)}
     assert figures[scoring.TOO_SURE] == figures[scoring.COVERED] == 0
     assert figures[scoring.WRONG_CLAIMS] == 2
-    # the diagnosis has not answered these
-    said = own_method.table("mine", scores, [])
+    said = own_method.table("mine", scores, [])  # not answered by the diagnosis
     assert "| lists | 0 | 2 |" in said
     assert "| claimed and right | 0 | 2 |" in said
 

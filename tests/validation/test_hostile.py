@@ -1,4 +1,4 @@
-"""Whatever is written into a file or a layup: a record or one clear refusal, no traceback, no warning."""
+"""Any content of a file or a layup gives a record or one clear refusal, no traceback, no warning."""
 
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from validation.hostile.files import DAMAGES, LARGE_FILES, layups, plate_texts
 OFF = [HealthCheck.too_slow, HealthCheck.filter_too_much]
 UNTIMED = settings(deadline=None, derandomize=True, database=None, suppress_health_check=OFF)
 BOUNDED = settings(UNTIMED, max_examples=200)
-# Functions called for each byte of a file: the parser of the standard library takes about 10.
+# Allowed function calls per byte of a file: the parser of the standard library takes about 10.
 CALLS_A_BYTE = 60
 
 
@@ -33,7 +33,7 @@ def is_short_and_printable(said: str) -> bool:
 
 
 def refused(text: str) -> tuple[str, ...]:
-    """What is said of a plate file, nothing where it was accepted."""
+    """Problems of a plate file, none if it was accepted."""
     try:
         parse_specimen(text, "plate.toml")
     except PlateFileError as refusal:
@@ -116,7 +116,7 @@ OF_HITS: dict[str, Any] = {"force": 1, "response": (2,), "window": "exponential"
 
 
 def poles_of(path: Path, content: bytes) -> str:
-    """What is said of a file of a test, nothing where its modes are sound."""
+    """Message for a file of a test, empty if its modes are sound."""
     path.write_bytes(content)
     options = OF_HITS if path.suffix == ".wav" else {}
     try:
@@ -160,8 +160,7 @@ def test_responses_and_records_have_poles_or_are_refused(tmp_path: Path, content
     assert not said or is_short_and_printable(said.replace(str(tmp_path), ""))
 
 
-# Functions called for each kB of a file, where reading short lines of universal files takes some 200, and for
-# each row of a table, where splitting it into cells takes some 30.
+# Allowed calls per kB of a file (short universal lines take 200), and per row of a table (cells take 30).
 CALLS_A_KB, CALLS_A_ROW = 1000, 50
 LARGE_MEASUREMENTS = {**measurements.LARGE_UNIVERSAL_FILES, **measurements.LARGE_TABLES}
 

@@ -1,4 +1,4 @@
-"""Second opinions on evidences: nested sampling, and a slow reference of the quick way of the diagnosis."""
+"""Independent estimates of evidences: nested sampling, and a slow reference for the quick method."""
 
 from dataclasses import replace
 
@@ -28,13 +28,12 @@ def test_values_are_asked_for_in_stacks_and_answers_go_to_their_tasks() -> None:
     pool = Lockstep(batched, 4)
 
     def walk(start: int) -> list[float]:
-        """As many values as the start says: tasks end at different times."""
+        """Evaluate as many points as the start says, so that tasks end at different times."""
         return [pool.value(np.array([float(start), float(i)])) for i in range(start)]
 
     found = pool.map(walk, range(6))
     assert found == [[float(s**2 + i**2) for i in range(s)] for s in range(6)]
-    # tasks 0 to 3 go together, then 4 and 5: stacks as long as tasks are left
-    assert sizes == [3, 2, 1, 2, 2, 2, 2, 1]
+    assert sizes == [3, 2, 1, 2, 2, 2, 2, 1]  # tasks 0 to 3 run together, then 4 and 5
     assert pool.value(np.array([3.0])) == 9.0
 
 
@@ -59,7 +58,7 @@ def test_a_task_or_a_likelihood_that_fails_fails_the_whole_and_hangs_nothing() -
 
 
 def bent_plate(size: float, sd: float = 0.02) -> tuple[CorrelatedDensity, float]:
-    """The toy plate with a bump of a size in its list and its prior: its density and exact log evidence."""
+    """The toy plate with a bump of this size in list and prior: its density and exact log evidence."""
     shifted = 1.0 + toy_plates.A @ np.array([0.03, -0.04]) + size * BUMP
     f = toy_plates.F0 * shifted * (1.0 + NOISE * toy_plates.SCATTER)
     bent = toy_plates.cause("bent", toy_plates.whole_normal(sd))
@@ -84,8 +83,7 @@ SMALL = ReferenceSettings(draws=256, nodes=41, log2_points=(11, 13))
 def test_the_reference_finds_the_evidence_of_a_linear_plate(size: float) -> None:
     comparison, exact = bent_plate(size)
     found = reference_evidence(comparison, (2,), 0, SMALL)
-    # three of its standard errors
-    assert found.error < 0.05
+    assert found.error < 0.05  # three of its standard errors
     assert found.log_evidence == pytest.approx(exact, abs=0.15)
 
 

@@ -1,4 +1,4 @@
-"""Truths of benchmarks are right and have causes as in the catalogue, whose forms miss some of real ones."""
+"""Benchmark truths are right and agree with the catalogue's causes, whose forms miss part of real ones."""
 
 import math
 import tomllib
@@ -26,19 +26,16 @@ CARBON = {"E1": 121.2e9, "E2": 9.34e9, "nu12": 0.23, "G12": 6.25e9}
 CROSS_PLY = tuple([0.0, 90.0] * 8 + [90.0, 0.0] * 8)
 C1 = TruePlate(0.26, 0.26, 0.0032, 1590.0, "FFFF", CROSS_PLY, CARBON, correction=5 / 6)
 A2 = TruePlate(0.25, 0.28, 0.003, 2700.0, "CFFF", (0.0,), {"E1": 69e9, "nu12": 0.33}, correction=5 / 6)
-# Coarse: for relations that hold on any mesh.
-SMALL = replace(C1, mesh=8)
+SMALL = replace(C1, mesh=8)  # Coarse: for relations valid on any mesh.
 
 
 def test_converged_frequencies_of_two_ritz_bases_and_the_shear_stiffness_of_a_metal_are_met() -> None:
-    # two solvers that are no part of the package agree on these to 2e-6; the mesh costs 1e-4 at most
-    for plate, converged in (
+    for plate, converged in (  # two independent solvers agree on these to 2e-6; the mesh costs at most 1e-4
         (C1, [100.366, 298.584, 324.574, 360.347, 381.139, 600.611]),
         (A2, [40.9165, 90.673, 240.069, 276.238, 340.704, 566.456]),
     ):
         np.testing.assert_allclose(natural_frequencies(plate, 6), converged, rtol=1e-4)
-    # two plies of one metal have the shear stiffness of its parabola
-    c = elements.completed({"E1": 70e9, "nu12": 0.3})
+    c = elements.completed({"E1": 70e9, "nu12": 0.3})  # the shear stiffness of a parabola
     stiffness = elements.laminate_stiffness([(c, 0.0, 0.001), (c, 0.0, 0.001)])
     assert stiffness[7, 7] == pytest.approx(5 / 6 * c["G12"] * 0.002, rel=1e-10)
 
@@ -65,8 +62,7 @@ def test_sensitivities_are_difference_quotients() -> None:
 
 FREE, HELD = lists.PLATES[1], lists.PLATES[3]
 N = 6
-# A clamp that slips ends abruptly in the truth and fades in the catalogue, and a truth's mass is taller than
-# a point: these agree less by intention.
+# By intention these agree less: a clamp that slips abruptly, and a mass that is taller than a point.
 CAUSES = (
     *("clamp_rotation", "clamp_translation", "soft_clamp", "clamp_length", "support", "thickness", "density"),
     *("length", "width", "taper_x", "taper_y", "skew", "misorientation", "outer_ply_angle"),
@@ -97,8 +93,7 @@ def test_a_hidden_cause_shifts_and_is_stated_as_the_effect_of_its_name(cause: st
     bare = replace(own.plate, mesh=10)
     flawed = FLAWS[cause].apply(bare, size, {"ratio": 1.0})
     shifts = natural_frequencies(flawed, N) / natural_frequencies(bare, N)
-    # two coarse meshes: shifts of up to 27 %
-    np.testing.assert_allclose(shifts, expected, atol=1e-3)
+    np.testing.assert_allclose(shifts, expected, atol=1e-3)  # two coarse meshes: shifts of up to 27 %
     stated = FLAWS[cause].stated(-3.0, {"ratio": 1.0}, 1.0)
     assert abs(stated) == pytest.approx(3.0 * factors[0])
 
@@ -107,8 +102,7 @@ def test_an_added_mass_and_a_missing_corner_are_stated_as_what_they_weigh() -> N
     aux = {"x": 1.0, "y": 0.0, "form": "rectangle", "ratio": 2.0}
     loaded = FLAWS["sensor_mass"].apply(SMALL, 0.03, aux)
     assert FLAWS["sensor_mass"].stated(0.03, aux, SMALL.total_mass) == pytest.approx(loaded.masses[0].mass)
-    # points of the rule beside the cut are in or out
-    fine = replace(SMALL, mesh=40)
+    fine = replace(SMALL, mesh=40)  # points of the quadrature near the cut are in or out
     cut = FLAWS["outline"].apply(fine, 0.25, {**aux, "ratio": 1.0})
     missing = 1.0 - true_plate.weight(cut) / true_plate.weight(fine)
     assert FLAWS["outline"].stated(0.25, aux, 1.0) == pytest.approx(missing, rel=0.02)
@@ -124,8 +118,7 @@ def on(clamped: bool) -> Bench:
 
 def test_the_catalogue_holds_the_form_errors_of_the_study_rounded_up_and_all_forms_are_measured() -> None:
     measured = {row["cause"]: math.ceil(100.0 * row["rms"]) / 100.0 for row in saved(STUDY)["effects"]}
-    # a step or a parabola is no taper, and another saddle no warp: these causes name their form
-    for cause in ("taper_x", "taper_y", "warp"):
+    for cause in ("taper_x", "taper_y", "warp"):  # these causes specify their form
         assert measured.pop(cause) > 0.3
     for effect in CATALOGUE:
         assert effect.form_error == measured.get(effect.name, 0.0), effect.name
@@ -139,15 +132,14 @@ def test_a_plate_without_a_flaw_is_that_of_the_truths(nominal) -> None:
     np.testing.assert_allclose(bench(nominal.plate, N, COARSE).frequencies, expected, rtol=1e-8)
 
 
-# tape stiffens the plate, whatever it holds
-UNTAPED = {f"{form.cause}, {form.name}": form for form in FORMS if "tape" not in form.name}
+UNTAPED = {f"{form.cause}, {form.name}": form for form in FORMS if "tape" not in form.name}  # tape stiffens
 
 
 @pytest.mark.parametrize("form", UNTAPED.values(), ids=UNTAPED)
 def test_a_form_of_no_size_is_no_flaw_and_one_of_a_size_is(form: RealForm) -> None:
     plate, place = on(form.cause == "soft_clamp" or form.cause.startswith("clamp_")), form.places[0]
     bare = np.log(plate.frequencies)
-    # a clamp's springs stand for what is held: they are 1e-6 of a side soft
+    # a clamp's rigid edges are represented by springs with compliances of 1e-6 of a side
     np.testing.assert_allclose(plate.solved(form.act(plate, 0.0, place)), bare, atol=2e-5)
     assert np.max(np.abs(plate.solved(form.act(plate, form.sizes[-1], place)) - bare)) > 1e-3
 
@@ -160,8 +152,7 @@ def test_a_form_weighs_what_it_says(cause: str) -> None:
         _, m, _ = form.act(plate, form.sizes[0], form.places[0])
         share = form.sizes[0] if cause == "sensor_mass" else 0.0
         expected = (1.0 + share) * plate.plate.total_mass
-        # a step is sampled by the points of the rule, an eighth of a side apart at most
-        assert moved @ (m @ moved) == pytest.approx(expected, rel=5e-3), form.name
+        assert moved @ (m @ moved) == pytest.approx(expected, rel=5e-3), form.name  # a coarsely sampled step
 
 
 def test_the_catalogues_own_form_is_not_missed_and_its_size_is_found() -> None:
@@ -175,5 +166,4 @@ def test_the_catalogues_own_form_is_not_missed_and_its_size_is_found() -> None:
     tapered = replace(nominal.plate, taper=(0.1, 0.0), mesh=16)
     shift = np.log(natural_frequencies(tapered, study.N_MODES) / plate.frequencies)
     held, free = study._left(case, own, model, shift, (0.5, 0.5))
-    # the two discretisations agree to 5e-4 on the tenth mode, of shifts of 2 %
-    assert free <= held < 0.01 * np.sqrt(np.mean(shift**2))
+    assert free <= held < 0.01 * np.sqrt(np.mean(shift**2))  # 5e-4 apart, with shifts of 2 %

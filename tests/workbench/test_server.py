@@ -1,4 +1,4 @@
-"""The page's server: what it answers, what it refuses, what it keeps."""
+"""The page's server: its answers, refusals and stored state."""
 
 import asyncio
 import json
@@ -23,8 +23,7 @@ from tests.quick_page import EXAMPLE, desk_of, echo
 TOKEN, PORT = "the-token-of-this-page", 8377
 HERE = f"http://127.0.0.1:{PORT}"
 POSTED, JSON = {"Origin": HERE}, {"Content-Type": "application/json"}
-# Values that a hostile request puts where a name, a path, a number or a list is expected.
-HOSTILE = (
+HOSTILE = (  # Values of a hostile request in place of a name, a path, a number or a list.
     "../secret.toml", "..%2fsecret.toml", "/etc/passwd", "link.toml", "a/../../secret.toml", "panel.toml\0",
     "x" * 30_000, "\\\\host\\share.toml", ".toml", "", None, -1, 1e308, [], {}, [[[]]], True,
     "<script>alert(1)</script>", "\x1b[2J", "C:panel.toml",
@@ -58,7 +57,6 @@ def client(folder):
 
 
 def dropped(name: Any, content: bytes, headers: dict[str, str] = POSTED) -> dict[str, Any]:
-    """Arguments of the client for a file that is dropped on the page."""
     kind = {"Content-Type": "application/octet-stream"}
     return {"params": {"name": str(name)[:200]}, "content": content, "headers": headers | kind}
 
@@ -86,7 +84,7 @@ def measured(client: TestClient, visit: str) -> dict[str, Any]:
 
 
 def news(client: TestClient, visit: str, holds: str) -> dict[str, Any]:
-    """The first news with an element of that content; the server tells whenever something changed."""
+    """The first news with this content in an element; the server reports every change."""
     seen = -1
     for _ in range(20):
         said = client.get(f"{visit}/news?seen={seen}&structure=-1").json()
@@ -109,7 +107,7 @@ def test_errors_stand_at_their_fields_and_what_is_saved_is_what_the_command_read
     assert "cpam-bayes identify example.toml" in said["parts"]["tools"]
     assert tomllib.loads(path.read_text("utf-8"))["plate"]["mass_g"] == 341.5
     path.write_text("name = 'by hand'\n", "utf-8")
-    answer = act(client, visit, do="save")  # not over what another program wrote
+    answer = act(client, visit, do="save")  # another program's changes are not overwritten
     assert "changed by another program" in answer.json()["error"]
     assert (answer.status_code, path.read_text("utf-8")) == (400, "name = 'by hand'\n")
 
@@ -133,11 +131,11 @@ def test_picks_of_a_recording_are_left_out_added_and_logged(client):
     assert client.post(f"{visit}/file", **dropped("tap.wav", b"RIFF")).status_code == 200
     assert 'data-low="50"' in news(client, visit, 'class="spectrum"')["parts"]["spectrum"]
     edit(client, visit, do="peak", value=144.5)  # at a pick: left out
-    edit(client, visit, do="peak", value=349.0)  # between picks: the highest line near, added
-    edit(client, visit, do="row", index=0, value="")  # a pick that is deleted is left out
+    edit(client, visit, do="peak", value=349.0)  # between picks: the highest nearby line is added
+    edit(client, visit, do="row", index=0, value="")  # a deleted pick is left out
     measurement = map(measured(client, visit).get, ("picked_from", "frequencies_hz", "left_out", "by_hand"))
     assert list(measurement) == ["tap.wav", [76.4, 144.4, 212.6, 350], [1, 2], [4]]
-    edit(client, visit, do="peak", value=350.0)  # what was added by hand goes again
+    edit(client, visit, do="peak", value=350.0)  # one added by hand is removed again
     edit(client, visit, do="leave", index=0, value=False)
     assert (measured(client, visit)["left_out"], measured(client, visit).get("by_hand")) == ([2], None)
 
@@ -171,7 +169,7 @@ def test_an_edit_is_never_answered_with_what_a_former_one_asked(patience):
         answers = [await worker.run(echo, "first")]
         for value in range(3):
             former = asyncio.ensure_future(worker.run(echo, "former"))
-            for _ in range(value + 1):  # given up before, while and after it is sent
+            for _ in range(value + 1):  # cancelled before, while and after it is sent
                 await asyncio.sleep(0)
             former.cancel()
             answers.append(await worker.run(echo, value))
@@ -211,7 +209,7 @@ def test_pages_explain_themselves_and_hold_nothing_but_style_script_and_plates_o
 
 
 def requests(n: int, visit: str) -> Iterator[tuple[str, dict[str, Any], str]]:
-    """Method, arguments of the client, and why each must be refused."""
+    """Method, arguments of the client, and the reason for refusal."""
     dice = random.Random(38)
     for k in range(n):
         value = dice.choice(HOSTILE)
@@ -276,13 +274,12 @@ def test_what_takes_long_says_how_long_the_rest_of_its_stage_takes(folder, monke
     with Shown(lambda done, text: said.append((done, text))).stage("weighing", 80) as shown:
         now = 130.0
         shown.tick(20, 0.0)
-    # 60 of 80 at 1.5 s each
-    assert said == [(0.0, "weighing"), (0.25, "weighing, about 2 min left")]
+    assert said == [(0.0, "weighing"), (0.25, "weighing, about 2 min left")]  # 60 of 80 at 1.5 s each
     work = Work(desk=desk_of(folder), file="batch", doing=("diagnose", *said[1]))
     assert "about 2 min left" in folder_news([], work)["parts"]["doing"]
 
 
-# A plate file as a text: the value changes, everything else stays
+# A plate file as text: the value changes, everything else stays
 
 
 def without(data: dict, key: str) -> dict:
@@ -321,7 +318,7 @@ def test_a_number_as_people_type_it_is_that_number_and_else_kept_as_words(typed,
     text = with_value(PANEL, "plate.length_mm", typed)
     assert tomllib.loads(text)["plate"]["length_mm"] == read
     pairs = zip(PANEL.split("\n"), text.split("\n"), strict=True)
-    # comments and order stay
+    # comments and order are kept
     assert [old.split("#")[1:] == new.split("#")[1:] for old, new in pairs if old != new] == [True]
 
 

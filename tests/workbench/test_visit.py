@@ -25,7 +25,6 @@ TYPED = {f"plate.{key}": text for key, text in SIZES.items()}
 
 @pytest.fixture
 def address(tmp_path):
-    """The address that the command prints; it ends on Ctrl-C with status 0."""
     command = [sys.executable, "-m", "cpam_bayes", "app", str(tmp_path), "--port", "0", "--no-browser"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     yield process.stdout.readline().strip()
@@ -36,7 +35,6 @@ def address(tmp_path):
 
 
 def frequencies() -> list[float]:
-    """Of the plate with a mass that its file will not state."""
     sizes = {key: float(text) for key, text in SIZES.items()}
     plate = {
         "name": "tapped", "plate": {**sizes, "edges": "FFFF"},
@@ -47,7 +45,7 @@ def frequencies() -> list[float]:
 
 
 def given(browser: Browser, what: str, value: str, event: str) -> None:
-    """In one step, as a key does it: a form that is drawn anew in between would lose the value."""
+    """Set a value in a single step like a key does: a form redrawn in between would lose it."""
     browser.value(
         f"""(() => {{ const at = document.querySelector({json.dumps(what)}); at.value = {json.dumps(value)};
         at.dispatchEvent(new Event("{event}", {{ bubbles: true }})); }})()"""
@@ -91,12 +89,11 @@ def test_a_plate_is_typed_its_list_pasted_and_the_constants_are_those_of_the_com
         browser.value(f"document.querySelector('[data-paste]').value = {pasted}")
         click(browser, "[data-take]")
         there(browser, "#answer .headline")
-        # what was typed just before the form was drawn anew stands in it
+        # text typed just before the form is redrawn is kept
         assert browser.value("""document.querySelector("[data-key='plate.length_mm']").value""") == "300"
         click(browser, "[data-act=save]")
         browser.until("document.getElementById('said').textContent.startsWith('saved as')")
-        # at rest: what the command prints, to its digits
-        at_rest = text(browser, "#answer .constants")
+        at_rest = text(browser, "#answer .constants")  # at rest: the digits that the command prints
         assert disturbing(browser, 1280) == []
         printed = cb.identify(tmp_path / "plate.toml").summary()
         for constant in re.findall(r"^  (E1|nu12)\s+(\S+)", printed, re.MULTILINE):
@@ -108,7 +105,6 @@ def test_a_plate_is_typed_its_list_pasted_and_the_constants_are_those_of_the_com
 
 @pytest.fixture
 def quick_address(tmp_path):
-    """The address of a page whose computations answer at once."""
     port = free_port(0)
     page = application(desk_of(tmp_path), "token", port)
     server = uvicorn.Server(uvicorn.Config(page, port=port, log_level="error", ws="none"))

@@ -1,8 +1,8 @@
-"""The smallest size of each cause that the lists would have shown, by simulated lists and a linear model.
+"""Detection limit of each cause: the smallest size that simulated lists would have shown, by a linear model.
 
 About the plain model's optimum the log frequencies are linear in the constants, which are integrated within
 their priors in closed form; a cause at one of its places shifts the frequencies along a line. With y the
-residuals and t a node of a line, both multiplied by the root of the precision, the evidence of a cause over
+whitened residuals and t a whitened node of a line, the evidence of a cause over
 that of the plain model is sum_k p_k exp(y.t_k - t_k.t_k / 2). For y = noise + shift this is a matrix product
 of exp(noise.t_k) and exp(shift.t_k - t_k.t_k / 2), so that all draws of the noise share the work for every
 size.
@@ -43,7 +43,7 @@ from cpam_bayes.running import single_blas_thread
 
 # Scores of the size at which shifts at a place are computed.
 _SCORES = np.linspace(-SIZE_RANGE, SIZE_RANGE, 19)
-# Scores of a line, between those at which shifts are known, and places at which a cause is taken, log2.
+# Interpolated scores of a line, and places at which a cause is taken, log2.
 _FINE = 289
 _LOG2_PLACES = 4
 # Scores by which a second size differs from the first, and weights of a standard normal there.
@@ -68,7 +68,7 @@ class ShiftLine:
 
 
 def shift_lines(tested: Sequence[Tested], none: Marginal) -> tuple[ShiftLine, ...]:
-    """Lines of all single hypotheses whose frequencies keep their modes."""
+    """Shift lines of all single hypotheses that leave the pairing of modes unchanged."""
     lines: list[ShiftLine] = []
     for t in tested:
         h = t.hypothesis
@@ -80,7 +80,7 @@ def shift_lines(tested: Sequence[Tested], none: Marginal) -> tuple[ShiftLine, ..
 
 
 def _line(t: Tested, score: Array, shift: Array, log_prior: float = 0.0) -> list[ShiftLine]:
-    """A line through the shifts at some scores, smooth in the size itself."""
+    """Shift line interpolated between the shifts at some scores, smooth in the size itself."""
     prior = t.hypothesis.parameters[0].prior
     x = prior.from_normal(score)
     new = np.diff(x, prepend=-np.inf) > 0.0
@@ -96,7 +96,7 @@ def _line(t: Tested, score: Array, shift: Array, log_prior: float = 0.0) -> list
 
 
 def _at_places(t: Tested, none: Marginal) -> list[ShiftLine]:
-    """A line at each of some places or, of two sizes at once, at each of some ratios of them."""
+    """Shift lines at several places or, for two sizes at once, at several ratios of them."""
     comparison, parameters = t.marginal.comparison, t.hypothesis.parameters
     further = parameters[1:]
     places = [k for k, p in enumerate(further) if p.prior.is_range]
@@ -133,13 +133,13 @@ def _at_places(t: Tested, none: Marginal) -> list[ShiftLine]:
     return lines
 
 
-# Nodes of a line: their distance in standard deviations of the data at most, in scores at most, and the
-# distance from the plain model beyond which none are needed.
+# Nodes of a line: largest spacing in standard deviations of the data and in scores, and the distance from the
+# plain model beyond which none are needed.
 _APART_SD, _APART_SCORES, _FARTHEST_SD = 1.6, 0.9, 50.0
-# The same of nodes whose directions are compared.
+# Largest spacing, standard deviations, of nodes whose directions are compared.
 _DIRECTION_SD = 0.8
-# Amplitudes of an inferred noise that evidences are integrated over, and how far beyond those of the truth:
-# a large noise explains a shift too.
+# Amplitudes of an inferred noise over which evidences are integrated, and how far they reach beyond the true
+# ones: a large noise explains a shift too.
 _AMPLITUDES, _BELOW, _ABOVE = 8, 0.6, 10.0
 # Midpoints of equal parts of a discrepancy's prior.
 _DISCREPANCIES = 8
@@ -161,7 +161,7 @@ class _Gaussians:
 
     @staticmethod
     def of(mean: Array, covariances: Array, log_weight: float) -> _Gaussians:
-        """Equally probable ones with one mean and covariances (g, n_f, n_f)."""
+        """Equally probable densities with one mean and covariances (g, n_f, n_f)."""
         factor = np.linalg.cholesky(covariances)
         log_det = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
         each = log_weight - log_det - float(np.log(len(covariances)))
@@ -169,22 +169,22 @@ class _Gaussians:
 
     @staticmethod
     def joined(parts: Sequence[_Gaussians]) -> _Gaussians:
-        """All of them, in this order."""
+        """Concatenation of several groups of densities, in this order."""
         each = ([getattr(g, name) for g in parts] for name in ("log_weight", "means", "roots"))
         return _Gaussians(*(np.concatenate(of) for of in each))
 
 
 @dataclass(frozen=True, slots=True)
 class _Level:
-    """One level of the noise.
+    """Precomputed terms of the evidences at one level of the noise.
 
     root : (n_f, n_f) of the precision of the plain model
-    nodes : (k, n_f) of all lines, times this root, those of one cause together
-    log_prior : (k,) of the nodes, less half their squared norms
+    nodes : (k, n_f) of all lines, whitened by this root, grouped by cause
+    log_prior : (k,) of the nodes, minus half their squared norms
     factors : (n, k_c) exp(y . nodes) of the simulated noise for the nodes of each cause
     densities : of the residuals, under the plain model and then under each cause that has no line
-    firsts : first densities of these causes
-    white : (g, n, n_f) the simulated noise, centred and times the root of each density
+    firsts : indices of the first densities of these causes
+    white : (g, n, n_f) the simulated noise, centred and whitened by the root of each density
     """
 
     root: Array
@@ -196,7 +196,7 @@ class _Level:
     white: Array
 
     def log_evidences(self, shift: Array) -> Array:
-        """Log evidences of all causes, (n_causes, n, m), for the noise and shifts (m, n_f)."""
+        """Log evidences (n_causes, n, m) of all causes for the simulated noise and shifts (m, n_f)."""
         turned = shift @ np.swapaxes(self.densities.roots, 1, 2)
         exponent = self.densities.log_weight[:, None] - 0.5 * np.sum(turned**2, axis=2)
         each = exponent[:, None] - self.white @ np.swapaxes(turned, 1, 2)
@@ -220,16 +220,16 @@ class _Level:
 
 @dataclass(frozen=True, slots=True)
 class LinearOracle:
-    """Simulated noise about the plain model's optimum, and what the evidences of all hypotheses need.
+    """Evidences of all hypotheses for lists simulated about the plain model's optimum.
 
     causes : in the order of the evidences, none and other among them
     prior : (n_causes,) of each
-    noise : (n, n_f) of the log frequencies
+    noise : (n, n_f) simulated noise of the log frequencies
     levels : of the noise in the evidences
     root : (n_f, n_f) of the precision at a typical level of the noise
     sd : (n_f,) of the log frequencies there
-    paths : the nodes of every line, times that root
-    material : numbers of the causes whose constants may be anything, and the roots of their precisions
+    paths : the nodes of every line, whitened by that root
+    material : indices of the causes of another material, and the roots of their precisions
     """
 
     causes: tuple[str, ...]
@@ -246,10 +246,10 @@ class LinearOracle:
         return log_sum_exp(np.stack([level.log_evidences(shift) for level in self.levels]), axis=0)
 
     def alike(self, shift: Array) -> Array:
-        """True where a cause cannot be distinguished from the one that shifts by (m, n_f), (n_causes, m).
+        """Mask (n_causes, m) of causes that cannot be distinguished from the one with shifts (m, n_f).
 
-        By the rules of `signatures`: the cosine with the nearest shift that it has, the constants' part
-        taken out of both, or a fit without noise that is as good.
+        By the rules of `signatures`: the cosine with the nearest shift of the cause, the constants' part
+        removed from both, or an equally good fit without noise.
         """
         target = shift @ self.root.T
         visible = np.linalg.norm(target, axis=1) >= ABSORBED * np.linalg.norm(shift / self.sd, axis=1)
@@ -264,7 +264,7 @@ class LinearOracle:
 
 @dataclass(frozen=True, slots=True)
 class _Paths:
-    """Nodes of all lines as the data see them.
+    """Whitened nodes of all lines.
 
     nodes : (k, n_f) times the root of the precision
     visible : (k,) whether the constants do not absorb them
@@ -278,14 +278,14 @@ class _Paths:
     firsts: Array
 
     def nearest(self, target: Array) -> tuple[Array, Array]:
-        """Largest cosine with targets (m, n_f), squared distance to the nearest node, (n_causes, m) each."""
+        """Largest cosine with targets (m, n_f) and least squared distance of a node, (n_causes, m) each."""
         if not len(self.starts):
             return np.zeros((0, len(target))), np.zeros((0, len(target)))
         norm, size = np.linalg.norm(self.nodes, axis=1), np.linalg.norm(target, axis=1)
         product = self.nodes @ target.T
         distance = norm[:, None] ** 2 - 2.0 * product
         of_cause = np.minimum.reduceat(distance, self.starts[self.firsts]) + size**2
-        # shifts that are hardly there have no direction; a line without others is met at its end
+        # negligible shifts have no direction; a line of only these is taken at its end
         distance = np.where(norm[:, None] >= HARDLY * size, distance, 1e9 - norm[:, None])
         lengths = np.diff(self.starts, append=len(norm))
         best = np.repeat(np.minimum.reduceat(distance, self.starts), lengths, axis=0)
@@ -298,7 +298,7 @@ class _Paths:
 def linear_oracle(
     weighed: Weighed, lines: Sequence[ShiftLine], n: int, rng: np.random.Generator
 ) -> LinearOracle:
-    """The oracle about the optimum of the plain model, with n draws of its noise."""
+    """Oracle about the optimum of the plain model, with n draws of its noise."""
     none = weighed.none.marginal
     slope, mean = _linear(none.comparison, none.best)
     levels_x, log_weight, true = _noise_levels(none, n)
@@ -385,7 +385,7 @@ def _linear(comparison: CorrelatedDensity, x: Array) -> tuple[Array, Array]:
 
 
 def _sd(comparison: CorrelatedDensity, x: Array) -> Array:
-    """Noise (m, n_f) of the log frequencies at parameters (m, n)."""
+    """Standard deviations (m, n_f) of the log frequencies at parameters (m, n)."""
     return np.asarray(np.sqrt(comparison.variance(x)) / comparison.listed.frequencies)
 
 
@@ -396,10 +396,10 @@ def _covariance(comparison: CorrelatedDensity, x: Array) -> Array:
 
 
 def _noise_levels(none: Marginal, n: int) -> tuple[Array, Array, Array]:
-    """Parameters (a, n_x) to integrate evidences over, logs of their prior weights, (n, n_x) of the truth.
+    """Parameters (a, n_x) for the evidences, their log prior weights, and true parameters (n, n_x).
 
-    The plain model's optimum, with other amplitudes of an inferred noise: those of the truth are drawn from
-    their posterior, evidences have its median times common factors.
+    All are the plain model's optimum with other amplitudes of an inferred noise: true ones are drawn from
+    their posterior, those of the evidences are its median times common factors.
     """
     comparison, columns = none.comparison, [c for c in none.comparison.amplitudes if c >= 0]
     true = np.tile(none.best, (n, 1))
@@ -424,7 +424,7 @@ def _noise_levels(none: Marginal, n: int) -> tuple[Array, Array, Array]:
 def _densities(t: Tested, none: Marginal, at: Array, log_weight: Array) -> list[_Gaussians]:
     """Densities of the residuals at every level of the noise, under a hypothesis without a line.
 
-    It scatters them, lets the constants vary more, or shifts them by one step.
+    Such a hypothesis scatters them, lets the constants vary more, or shifts them by one step.
 
     at : (a, n) parameters of the plain model, which differ by the amplitudes of the noise
     log_weight : (a,)
@@ -446,9 +446,9 @@ def _densities(t: Tested, none: Marginal, at: Array, log_weight: Array) -> list[
 
 
 def _nodes(line: ShiftLine, root: Array, apart: float = _APART_SD) -> tuple[Array, Array]:
-    """Nodes (k, n_f) of a line times a root of the precision, and logs (k,) of their prior weights.
+    """Nodes (k, n_f) of a line, whitened by a root of the precision, and their log prior weights (k,).
 
-    They are evenly spread over the path that the data see, and over the scores where that is short.
+    They are evenly spread over the whitened path, and over the scores where that is short.
     """
     path = line.shift @ root.T
     near = np.linalg.norm(path, axis=1) < _FARTHEST_SD
@@ -470,8 +470,8 @@ def _nodes(line: ShiftLine, root: Array, apart: float = _APART_SD) -> tuple[Arra
 POWER = 0.95
 # Simulated lists, common to all sizes, and the seed of their noise.
 _DRAWS, _SEED = 100, 20
-# Visible shifts at which sizes are tried, standard deviations of the data: the first and the last; how many
-# of them, and how many between the two of these that the answer lies between.
+# First and last visible shift at which sizes are tried, standard deviations of the data; their number, and
+# that of further ones between the two that enclose the answer.
 _FIRST_SD, _LAST_SD, _COARSE, _BETWEEN = 2.0, 40.0, 8, 5
 # Places of a cause that are tried, of which the median counts; fewer where it may be on one plate or another.
 _PLACES = 5
@@ -484,7 +484,7 @@ class Detectable:
     """Detection limit of one cause in these lists.
 
     parameter : its size, ``None`` for a cause that has none
-    smallest : distance of the size from its null, SI, from which the cause or its class would have been
+    smallest : least distance of the size from its null, SI, at which the cause or its class would have been
         claimed with probability `POWER`, of either sign and at the median place; ``None`` where no size would
     probability_of_claim : at that size, or at the best one
     """
@@ -499,13 +499,13 @@ class Detectable:
 def detectable(
     weighed: Weighed, cases: Sequence[PlateCase] = (), executor: Executor | None = None
 ) -> tuple[Detectable, ...]:
-    """The smallest detectable size of every single cause that was tested, in the order of their probability.
+    """Smallest detectable size of every single cause that was tested, in the order of their probability.
 
     The lists are simulated at the plain model's optimum with a cause of some size and noise as stated, or
     from the posterior of the repeatability; a claim is made as for the lists themselves (`linear_oracle`).
-    Incomplete lists are paired as is most probable under the plain model.
+    Incomplete lists have their most probable pairing under the plain model.
 
-    cases, executor : the plates, and where the causes are worked on
+    cases, executor : the plates, and where the causes are processed
     """
     weighed = weighed.in_plain_pairing()
     lines = shift_lines(weighed.tested, weighed.none.marginal)
@@ -534,14 +534,14 @@ def _detectable(
 
 
 def _spread(lines: list[ShiftLine], most: int) -> list[ShiftLine]:
-    """Some of the lines of a cause, evenly over its places."""
+    """At most ``most`` lines of a cause, evenly spread over its places."""
     if len(lines) <= most:
         return lines
     return [lines[i] for i in np.linspace(0, len(lines) - 1, most).round().astype(int)]
 
 
 def _worse_sign(oracle: LinearOracle, line: ShiftLine) -> tuple[float, float]:
-    """The larger of the smallest sizes of both signs, infinite if one of them is not seen, and its power."""
+    """Smallest detectable size of the worse sign, infinite if one sign is not detected, and its power."""
     by_sign = []
     mirrored = np.abs(line.shift[::-1] - line.shift).max() < _EVEN * np.abs(line.shift).max()
     for side in (line.size > 0.0, (line.size < 0.0) & (not mirrored)):
@@ -553,7 +553,7 @@ def _worse_sign(oracle: LinearOracle, line: ShiftLine) -> tuple[float, float]:
 
 
 def _smallest(oracle: LinearOracle, cause: str, size: Array, shift: Array) -> tuple[float, float]:
-    """The smallest of sizes (k,), ascending, with shifts (k, n_f) that is claimed with `POWER`; its power."""
+    """Smallest of ascending sizes (k,) with shifts (k, n_f) that is claimed with `POWER`, and its power."""
     seen = np.maximum.accumulate(np.linalg.norm(shift @ oracle.root.T, axis=1))
     seen += 1e-9 * np.arange(len(seen))
     high = min(_LAST_SD, seen[-1])
@@ -577,7 +577,7 @@ def _smallest(oracle: LinearOracle, cause: str, size: Array, shift: Array) -> tu
 
 
 def _between(values: Array, place: Array) -> Array:
-    """Values (k, ...) at fractional rows (m,), (m, ...)."""
+    """Values (m, ...) interpolated in (k, ...) at fractional rows (m,)."""
     i = np.minimum(place.astype(int), len(values) - 2)
     part = (place - i).reshape(-1, *(1,) * (values.ndim - 1))
     return np.asarray(values[i] + part * (values[i + 1] - values[i]))

@@ -1,4 +1,4 @@
-"""The constants over all hypotheses and optima, and the answer with other scales of the priors."""
+"""Constants averaged over hypotheses, open optima, and the sensitivity to the scales of the priors."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from cpam_bayes.diagnosis.hypotheses import Claim
 from cpam_bayes.inference.laplace import maximised
 from cpam_bayes.mechanics.problem import Array
 
-# Fraction of the posterior from which an optimum is reported; nodes that optima are sought from, and the
-# fraction that makes one worth it.
+# Least fraction of the posterior of a reported optimum; most nodes from which optima are sought, and the
+# least fraction of such a node.
 _LEAST_FRACTION, _MOST_STARTS, _START_FRACTION = 0.03, 12, 3e-3
 # Steps of an optimisation at most, and the gain, nats, that ends it.
 _MOST_STEPS, _PROMISED = 60, 1e-3
@@ -30,7 +30,7 @@ class OpenOptimum:
 
     fraction : of the posterior about it
     constants : name -> value there, SI
-    modes : labels of the modes in the lists' places, plate by plate
+    modes : mode label of every listed frequency, plate by plate
     """
 
     fraction: float
@@ -38,7 +38,7 @@ class OpenOptimum:
     modes: tuple[tuple[str, ...], ...]
 
     def differences(self, other: OpenOptimum) -> tuple[tuple[int, int, str, str], ...]:
-        """Plate, number of the frequency from 0 and labels at both, where the mode is another one."""
+        """Plate, number of the frequency from 0 and both labels, wherever the modes differ."""
         return tuple(
             (i, k, a, b)
             for i, (here, there) in enumerate(zip(self.modes, other.modes, strict=True))
@@ -48,9 +48,9 @@ class OpenOptimum:
 
 
 def open_optima(t: Tested, cases: Sequence[PlateCase]) -> tuple[OpenOptimum, ...]:
-    """The optima of a hypothesis that carry probability, the most probable first; none where it is one.
+    """Optima of a hypothesis that carry probability, the most probable first; empty if there is only one.
 
-    Every draw of the posterior counts for the optimum that is nearest in standard deviations.
+    Every posterior draw counts for its nearest optimum, in standard deviations.
     """
     marginal, comparison = t.marginal, t.marginal.comparison
     starts = marginal.z[:_MOST_STARTS][marginal.weight[:_MOST_STARTS] > _START_FRACTION]
@@ -112,7 +112,7 @@ FACTORS: Final = (3.0, 1.0 / 3.0)
 
 @dataclass(frozen=True, slots=True)
 class PriorSensitivity:
-    """The answer with other scales of the priors.
+    """Probabilities and claims with other scales of the priors.
 
     probabilities : of every cause, its variants summed, for each of `FACTORS`
     claims : for each of them
@@ -138,10 +138,10 @@ def prior_sensitivity(
 
 
 def reweighed(weighed: Weighed, factor: float) -> Weighed:
-    """All hypotheses with the probabilities and Bayes factors of other prior scales.
+    """Hypotheses with the probabilities and Bayes factors of other prior scales.
 
-    Z' = Z E[p'(x) / p(x)], the mean over the posterior: importance sampling from the posterior of the first
-    prior, as in power scaling (Kallioinen et al., Stat. Comput. 34, 2024).
+    Z' = Z E[p'(x) / p(x)], the mean over the posterior: importance sampling from the posterior of the
+    original prior, as in power scaling (Kallioinen et al., Stat. Comput. 34, 2024).
     """
     log_ratio = np.array([_log_ratio(t, factor) for t in weighed.tested])
     ratio_of = {id(t): r for t, r in zip(weighed.tested, log_ratio, strict=True)}
@@ -175,10 +175,10 @@ _QUANTILES = np.array([0.025, 0.975])
 
 
 def averaged_constants(weighed: Weighed) -> Mapping[str, tuple[float, float, float, float]]:
-    """The parameters of the plain model over all hypotheses: name -> mean, sd, 2.5 and 97.5 % quantile, SI.
+    """Plain-model parameters averaged over hypotheses: name -> mean, sd, 2.5 and 97.5 % quantile, SI.
 
     The density is sum_h P(h | data) p(x | h, data), Bayesian model averaging (Hoeting et al., Stat. Sci. 14,
-    1999), by the draws of every hypothesis with their weights.
+    1999), from the weighted draws of every hypothesis.
     """
     names, draws, weight = averaged_draws(weighed)
     mean = weight @ draws

@@ -1,9 +1,9 @@
-"""What one hypothesis says of the lists: its optima, a proposal about them, and its marginal likelihood.
+"""Marginal likelihood of one hypothesis: its optima, and a proposal about them.
 
-A size that the data determine is one Gaussian more. One that they leave open has a density that no Gaussian
-describes: skew, taper, warp and turned plies have zero slope at zero by symmetry, what can only add piles up
-at zero, and a place is anywhere. The proposal has components at nodes that fill the priors of such sizes. The
-evidence by these Gaussians ranks hypotheses; what comes near the best one is sampled (`sampled`).
+A size that the data determine is one more Gaussian coordinate. One that they leave open has a density that
+is not Gaussian: skew, taper, warp and turned plies have zero slope at zero by symmetry, a one-sided size
+piles up at zero, and a place may be anywhere. The proposal has components at nodes that fill the priors of
+such sizes. The evidence by these Gaussians ranks hypotheses; those near the best are sampled (`sampled`).
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.parameters import Parameter
 from cpam_bayes.running import single_blas_thread
 
-# A size is determined where its score's standard deviation is below this at every optimum that carries mass.
+# A size is determined if its score's standard deviation is below this at every optimum of this relative mass.
 _DETERMINED_SD, _CARRIES = 0.15, 1e-3
 # Nodes of one open size: scores of a grid, and sizes evenly spread over the prior, whose tails
-# gross errors fill; scattered nodes of several, log2, by their number.
+# gross errors fill; scattered nodes of several sizes, log2, by the number of sizes.
 _GRID, _EVEN_SIZES = np.linspace(-3.3, 3.3, 9), 5
 _LOG2_SCATTERED = {2: 5, 3: 5, 4: 6}
 _MOST_SCATTERED = 7
-# Part of the nodes' mass that an optimum has at most where it leaves the sizes open.
+# Largest part of the nodes' mass for an optimum that leaves the sizes open.
 _OF_OPEN_OPTIMUM = 0.2
-# Nodes with less of the mass are left out.
+# Nodes with a smaller part of the mass are left out.
 _NEGLIGIBLE_FRACTION = 1e-4
 # Draws of Laplace's approximation, log2.
 LOG2_POINTS = 9
@@ -48,8 +48,7 @@ class Marginal:
     sizes : columns of the effect's size and further coordinates
     log_evidence : log marginal likelihood
     error, effective_size, k_hat : of importance sampling, as in ``Weighted``; ``nan`` for Laplace's
-    z, weight : (k, n) optima, of nodes where there are some, and (k,) their fractions of the evidence, the
-        largest first
+    z, weight : (k, n) optima and nodes, and (k,) their fractions of the evidence, the largest first
     proposal : a stack of one mixture about them
     draws, log_weight : (d, n) parameters and (d,) their normalised log weights
     """
@@ -73,7 +72,7 @@ class Marginal:
 
     @property
     def is_sampled(self) -> bool:
-        """Whether it is known by importance sampling."""
+        """Whether the evidence is by importance sampling."""
         return bool(np.isfinite(self.error))
 
     def moments(self) -> tuple[Array, Array]:
@@ -99,11 +98,11 @@ def laplace_marginal(
     log2_draws: int = SEARCH.log2_draws,
     least: float = -np.inf,
 ) -> Marginal:
-    """The marginal likelihood by Laplace's method, roughly where the data leave sizes open.
+    """Marginal likelihood by Laplace's method, approximate where the data leave sizes open.
 
-    known : (s, n) scores that optimisations begin from, beside draws of the prior
-    smooth : those of the sizes that are left to Laplace's method even where they are open
-    log2_draws : of these draws, none at all where it is 0
+    known : (s, n) scores from which optimisations start, beside draws of the prior
+    smooth : sizes that are left to Laplace's method even where they are open
+    log2_draws : log2 of the number of these draws, none if 0
     least : log evidence about the optima below which nothing is refined
 
     The draws are those of the Laplace approximation.
@@ -118,7 +117,7 @@ def laplace_marginal(
     if open_sizes:
         at_nodes = _over_nodes(comparison, open_sizes, open_sizes[0] == sizes[0], optima)
         if len(open_sizes) == 1:
-            # its nodes are close: an optimum that does not determine the size is their mass once more
+            # the nodes are close: an optimum that leaves the size open would count their mass again
             sd = np.sqrt(np.linalg.inv(optima.curvature)[:, open_sizes[0], open_sizes[0]])
             most = logsumexp(at_nodes[2]) + np.log(_OF_OPEN_OPTIMUM)
             log_mass = np.where(sd > _DETERMINED_SD, np.minimum(log_mass, most), log_mass)
@@ -129,9 +128,9 @@ def laplace_marginal(
 
 
 def _not_determined(optima: Optima, sizes: tuple[int, ...]) -> tuple[int, ...]:
-    """Those of the sizes that are too open for a Gaussian.
+    """Sizes that are too open for a Gaussian.
 
-    Where the first one is, all of them are: a small mass may be anywhere, whatever its place at the optimum.
+    If the first one is, all of them are: a small mass may be anywhere, whatever its place at the optimum.
     """
     log_mass = optima.log_mass
     carry = log_mass > log_mass.max() + np.log(_CARRIES)
@@ -143,7 +142,7 @@ def _not_determined(optima: Optima, sizes: tuple[int, ...]) -> tuple[int, ...]:
 def _over_nodes(
     comparison: CorrelatedDensity, columns: tuple[int, ...], has_size: bool, optima: Optima
 ) -> tuple[Array, Array, Array]:
-    """Centres, square roots of covariances and log masses of components that fill the priors of open sizes.
+    """Centres, covariance square roots and log masses of components that fill the priors of open sizes.
 
     has_size : whether the first of the columns is the size of an effect, the others its place
     """
@@ -173,7 +172,7 @@ def _over_nodes(
 def _marginal(
     comparison: CorrelatedDensity, sizes: tuple[int, ...], z: Array, factor: Array, log_mass: Array
 ) -> Marginal:
-    """Of components about optima and nodes, with their log masses (k,)."""
+    """Marginal from components about optima and nodes, with their log masses (k,)."""
     kept, proposal = about(z, factor, log_mass)
     gaussians = replace(proposal, factor=factor[None, kept], degrees_of_freedom=np.inf)
     draws = comparison.scores.to_x(sobol_points(gaussians, LOG2_POINTS)[0])
@@ -196,8 +195,8 @@ def _spacing(score: Array) -> Array:
     return np.asarray(0.5 * (padded[2:] - padded[:-2]))
 
 
-# Nodes of one size between the ends of the grid, sizes evenly spread over the prior that join them, and the
-# scattered nodes, log2, of several sizes.
+# Grid nodes of one size, sizes evenly spread over its prior that join them, and scattered nodes, log2, of
+# several sizes.
 _SHIFT_NODES, _SHIFT_EVEN, _LOG2_SHIFTS = 19, 9, 7
 
 
@@ -216,7 +215,7 @@ class ShiftTable:
 
 
 def size_nodes(comparison: CorrelatedDensity, sizes: tuple[int, ...]) -> tuple[Array, Array]:
-    """Nodes (k, d) of an effect's sizes in normal scores and the logs (k,) of their prior weights.
+    """Nodes (k, d) of an effect's sizes in normal scores, and their log prior weights (k,).
 
     An effect without a size has one node.
     """
@@ -236,9 +235,9 @@ def size_nodes(comparison: CorrelatedDensity, sizes: tuple[int, ...]) -> tuple[A
 def shift_table(
     comparison: CorrelatedDensity, effect: Sequence[Parameter], sizes: tuple[int, ...], about: Marginal
 ) -> ShiftTable:
-    """Shifts by an effect at the optimum of another hypothesis; what that lacks is at its prior median.
+    """Shifts by an effect at the optimum of another hypothesis; parameters it lacks are at prior medians.
 
-    Nodes at which the plate buckles or the constraints (9) are broken are left out, if need be all.
+    Nodes at which the plate buckles or the constraints (9) are violated are left out, if need be all.
 
     comparison : with the effect
     effect, sizes : the d parameters of the effect, and their columns
@@ -275,9 +274,8 @@ class Tested:
     plates : numbers of the plates that have it; all of them where they share it
     probability : among all that were tested
     log_bayes_factor : against none
-    shift : of the log frequencies, with the constants of the plain model; ``None`` where the list is paired
-        otherwise
-    cases : the plates with the pairing of incomplete lists; none where all lists are complete
+    shift : of the log frequencies, at the constants of the plain model; ``None`` where the pairing differs
+    cases : the plates with the pairing of incomplete lists; empty where all lists are complete
     as_plain : the hypothesis with the plain model's most probable pairing; ``None`` where lists are complete
     """
 
@@ -297,7 +295,7 @@ class Tested:
 
     @property
     def key(self) -> tuple[str, str, tuple[int, ...]]:
-        """The same for all pairings of one hypothesis."""
+        """Key that all pairings of one hypothesis have in common."""
         return (self.hypothesis.cause, self.hypothesis.variant, self.plates)
 
     @property
@@ -307,7 +305,7 @@ class Tested:
 
 
 def ranked(tested: Sequence[Tested]) -> list[Tested]:
-    """Hypotheses, those with most prior times evidence first."""
+    """Hypotheses in descending order of prior times evidence."""
     return sorted(tested, key=lambda t: t.log_weight, reverse=True)
 
 
@@ -329,18 +327,17 @@ def prior_of(tested: Sequence[Tested]) -> float:
     return float(sum(h.prior for h in distinct_hypotheses(tested)))
 
 
-# Fraction of the priors' weight that is kept: scores that nothing determines stay where they are.
+# Fraction of the log priors that is kept, so that scores which the data leave open stay in place.
 _KEPT = 1e-3
-# Draws of the posterior among which the best ones are sought, starts, and steps of the search.
+# Posterior draws among which starts are chosen, number of starts, and steps of the search.
 _DRAWS, _STARTS, _STEPS = 24, 2, 12
 
 
 @single_blas_thread
 def best_log_likelihood(marginal: Marginal) -> float:
-    """The largest log likelihood within the bounds of the priors, noise and discrepancy at their priors.
+    """Largest log likelihood within the bounds of the priors, with the priors of noise and discrepancy.
 
-    What a prior says of constants and sizes is left out, so that hypotheses are compared by what the data
-    can tell of them.
+    The priors of constants and sizes are left out, so that hypotheses are compared by the data alone.
     """
     comparison = marginal.comparison
     n, n_model = comparison.parameters.size, comparison.model.parameters.size

@@ -1,4 +1,4 @@
-"""Optima of the constants and the noise at held sizes: nodes that fill the prior of an open size."""
+"""Conditional optima of constants and noise at fixed sizes: nodes that fill the prior of an open size."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from cpam_bayes.mechanics.problem import Array
 
 @dataclass(frozen=True, slots=True)
 class NodeSettings:
-    """The optima of constants and noise at held sizes, centres of a proposal.
+    """Settings of the conditional optima, which are centres of a proposal.
 
     promised, steps : optimisations end where a step promises less, nats, or after so many steps
-    steepest : a node's optimum moves with the size by no more than this, scores per score
+    steepest : largest slope of a node's optimum over the size, scores per score
     """
 
     promised: float = 3e-2
@@ -31,7 +31,7 @@ _NODE: Final = NodeSettings()
 
 
 def size_points(comparison: CorrelatedDensity, column: int, n: int) -> Array:
-    """Scores of n sizes that are evenly spread between the bounds of their prior, (n,)."""
+    """Scores (n,) of sizes that are evenly spread between the bounds of their prior."""
     lower, upper = comparison.parameters.lower[column], comparison.parameters.upper[column]
     prior = comparison.parameters.parameters[column].prior
     x = lower + (upper - lower) * (np.arange(n) + 0.5) / n
@@ -40,9 +40,9 @@ def size_points(comparison: CorrelatedDensity, column: int, n: int) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Nodes:
-    """Conditional optima at held sizes.
+    """Conditional optima at fixed sizes.
 
-    columns : of the sizes that are held
+    columns : of the fixed sizes
     scores : (k, d)
     value : (k,)
     rest : (k, n - d)
@@ -57,16 +57,16 @@ class Nodes:
 
     @property
     def log_density(self) -> Array:
-        """Log density of the sizes and the data, the rest integrated by Laplace's method, (k,)."""
+        """Log density (k,) of the sizes and the data, the rest integrated out by Laplace's method."""
         n = self.rest.shape[1]
         return np.asarray(
             self.value + 0.5 * n * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(self.curvature)[1]
         )
 
     def components(self, comparison: CorrelatedDensity, kept: Array, width: Array) -> tuple[Array, Array]:
-        """Centres (p, n) and square roots (p, n, n) of the covariances of a mixture about some nodes.
+        """Centres (p, n) and covariance square roots (p, n, n) of a mixture about some nodes.
 
-        Along the sizes a component is as wide as its node is far from the next ones; the optimum of the rest
+        Along the sizes a component is as wide as the spacing of its node; the optimum of the rest
         moves with the sizes as dr/ds = -C_rr^-1 C_rs.
 
         kept : (p,) numbers of the nodes
@@ -88,7 +88,7 @@ class Nodes:
 
 
 def inserted(columns: tuple[int, ...], scores: Array, rest: Array) -> Array:
-    """Scores (..., n) of held sizes (..., d) and the rest (..., n - d)."""
+    """Scores (..., n) assembled from fixed sizes (..., d) and the rest (..., n - d)."""
     n = len(columns) + rest.shape[-1]
     z = np.empty((*rest.shape[:-1], n))
     z[..., list(columns)] = scores
@@ -99,7 +99,7 @@ def inserted(columns: tuple[int, ...], scores: Array, rest: Array) -> Array:
 def conditional_optima(
     comparison: CorrelatedDensity, columns: tuple[int, ...], scores: Array, optima: Optima
 ) -> Nodes:
-    """The optima of the rest at sizes (k, d), approached from the joint optimum nearest in size."""
+    """Conditional optima at sizes (k, d), started from the joint optimum nearest in size."""
     rest = np.delete(np.arange(comparison.parameters.size), columns)
 
     def target(r: Array, rows: Array) -> Expansion:
@@ -115,7 +115,7 @@ def conditional_optima(
 
 
 def _along_tangents(columns: tuple[int, ...], rest: Array, scores: Array, optima: Optima) -> Array:
-    """Starts (k, n - d) for the rest from the joint optimum nearest in size."""
+    """Starts (k, n - d) for the rest, extrapolated from the joint optimum nearest in size."""
     away = scores[:, None] - optima.z[:, list(columns)]  # (k, optima, d)
     far = np.sum(away**2, axis=2) - 2e-2 * (optima.value - optima.value.max())
     nearest = far.argmin(axis=1)

@@ -1,8 +1,8 @@
-"""The pairings of incomplete lists that carry probability, sought under the plain model.
+"""Search, under the plain model, for the pairings of incomplete lists that carry probability.
 
 An evidence is the sum over all pairings, sum_pi p(pi) Z(h, pi). They are proposed by dynamic programming at
-draws of the prior and at optima, first with a large noise, so that what is wrong with the model is not taken
-for false peaks, and fitted with their neighbours. The constants of the true pairing lie far from those of a
+draws of the prior and at optima, first with a large noise, so that errors of the model are not taken for
+false peaks, and fitted with their neighbours. The constants of the true pairing lie far from those of a
 wrong one: each is fitted from several draws of the prior, and one stack of solves serves all of them.
 """
 
@@ -30,12 +30,12 @@ from cpam_bayes.inference.optimise import Maxima, maximise, promised_gain
 from cpam_bayes.inference.scores import Expansion
 from cpam_bayes.mechanics.problem import Array
 
-# Draws that each pairing is fitted from, those that go on, and the steps of both rounds.
+# Draws from which each pairing is fitted and their steps, fits that go on and their steps.
 _FIRST, _FIRST_STEPS, _SECOND, _SECOND_STEPS = 5, 4, 2, 14
-# Log density, a factor on the best one and nats below that, under which a fit does not go on: with more of an
-# inferred noise it would still be far behind. A step gains at most so many times what it promises.
+# A fit is given up below this factor times the best log density, minus so many nats: with a larger inferred
+# noise it would still be far behind. A step gains at most so many times what it promises.
 _HOPELESS, _HOPELESS_NATS, _OVERSHOOT = 4.0, 50.0, 2.0
-# Scores of an inferred noise at which a fit is valued.
+# Scores of an inferred noise at which a fit is evaluated.
 _NOISE_SCORES = np.linspace(-2.5, 2.5, 9)
 
 
@@ -54,10 +54,10 @@ class Repairing:
 def repairings(
     plain: CorrelatedDensity, variants: Sequence[CorrelatedDensity], known: Array, sizes: tuple[int, ...] = ()
 ) -> list[Repairing]:
-    """Fits of pairings that have the parameters of a model, without any cause or with one.
+    """Fits of several pairings with the parameters of one model, without any cause or with one.
 
     plain : the lists as they are, for the parameters and all modes
-    variants : the lists paired otherwise, one frequency left out or misread perhaps
+    variants : the lists with other pairings, possibly with a frequency left out or misread
     known : (s, n) scores of the model's optima
     sizes : columns of the cause's parameters
 
@@ -90,7 +90,7 @@ def repairings(
 
 
 def all_modes(plain: CorrelatedDensity) -> tuple[CorrelatedDensity, list[int]]:
-    """The comparison with every mode of every plate as if it were listed, and where each plate's begin."""
+    """The comparison with every mode of every plate as if listed, and the offset of each plate's modes."""
     middle = plain.scores.to_x(np.zeros((1, plain.parameters.size)))
     sizes = [len(part.bare.predict(part.plate_vector(middle)).frequencies[0]) for part in plain.model.parts]
     parts = tuple(
@@ -104,7 +104,7 @@ def all_modes(plain: CorrelatedDensity) -> tuple[CorrelatedDensity, list[int]]:
 def _indices(
     plain: CorrelatedDensity, variants: Sequence[CorrelatedDensity], offsets: Sequence[int]
 ) -> tuple[Array, Array, Array]:
-    """Mode of every frequency (v, n_f), whether the model explains it, and log constants (v,)."""
+    """Mode of every frequency (v, n_f), mask of those that the model explains, and log constants (v,)."""
     n = len(plain.listed.frequencies)
     index, mask = np.zeros((len(variants), n), dtype=int), np.ones((len(variants), n), dtype=bool)
     constant = np.zeros(len(variants))
@@ -132,9 +132,9 @@ def _maximised(
     steps: int,
     known: Expansion | None = None,
 ) -> Maxima:
-    """Optima of constants at held noise, one pairing a row, from starts z (m, n) and what is known there.
+    """Optima of constants at fixed noise, one pairing per row, from starts z (m, n).
 
-    What cannot come near the best of all rows is given up.
+    Rows that cannot come near the best are given up. known : expansion at the starts
     """
     n = plain.parameters.size
     held = np.arange(n) >= plain.model.parameters.size
@@ -144,7 +144,7 @@ def _maximised(
         m = len(at)
         value, gradient, curvature = np.full(m, -np.inf), np.zeros((m, n)), np.zeros((m, n, n))
         x = plain.scores.to_x(at)
-        # pairings begin from the same points
+        # pairings share their starts
         distinct, place = np.unique(x, axis=0, return_inverse=True)
         of_distinct, f, slope = wide.predict_inside(distinct, jacobian=True)
         number = np.full(len(distinct), -1)
@@ -196,13 +196,13 @@ def _over_noise(
 
 Cases = tuple[PlateCase, ...]
 
-# Draws of the prior, log2, the relative noises at which they propose pairings, and draws that do.
+# Draws of the prior, log2, relative noises at which they propose pairings, and number that propose.
 _LOG2_DRAWS, _COARSE_NOISE, _PROPOSING = 10, (0.03, 0.01), 8
-# Relative noise that forgives the plain model what is wrong with it.
+# Relative noise that covers the errors of the plain model.
 _FORGIVING = 0.01
-# Rounds of fitting pairings and proposing others, and the best ones that propose.
+# Rounds of fitting pairings and proposing others, and number of best ones that propose.
 _ROUNDS, _LEADING = 5, 3
-# Pairings within so many nats of the best are kept, at most so many; those that other hypotheses begin with.
+# Pairings within so many nats of the best are kept, at most so many; number from which others start.
 _NEAR_NATS, _MOST, _SEEDS = 12.0, 8, 2
 
 
@@ -221,22 +221,22 @@ class PairedLists:
 
     @property
     def key(self) -> bytes:
-        """The same for equal pairings."""
+        """Key that equal pairings have in common."""
         return key_of(self.cases)
 
 
 def key_of(cases: Sequence[PlateCase]) -> bytes:
-    """The same for equal pairings of the lists."""
+    """Key of the pairings of the lists."""
     return b"".join(np.asarray(case.modes, dtype=np.int64).tobytes() for case in cases)
 
 
 def plain_pairings(
     cases: Sequence[PlateCase], scatter: float
 ) -> tuple[tuple[PairedLists, ...], tuple[PairedLists, ...]]:
-    """Pairings of incomplete lists that the plain model's evidence is over, and those that others begin with.
+    """Pairings summed in the plain model's evidence, and those with which other hypotheses start.
 
-    The latter are the best of the plain model and the best where its misfit is forgiven. Of several lists one
-    at a time is varied.
+    The latter are the best of the plain model, as it is and with a noise that covers its errors. Of several
+    lists one is varied at a time.
     """
     incomplete = [i for i, case in enumerate(cases) if is_incomplete(case)]
     at = PairedLists(tuple(cases))
@@ -254,13 +254,13 @@ def plain_pairings(
 
 
 def _and(p: PairedLists, i: int, best: PairedLists) -> PairedLists:
-    """A pairing with the best one of the i-th list."""
+    """A pairing with that of the i-th list replaced by the best one."""
     return replace(p, cases=(*p.cases[:i], best.cases[i], *p.cases[i + 1 :]))
 
 
 def in_order(cases: Sequence[PlateCase]) -> Cases:
-    """The plates with every frequency of an incomplete list given to a mode, none false."""
-    # a false peak has any mode
+    """The plates with a mode for every frequency of an incomplete list, none false."""
+    # a false peak gets an arbitrary mode
     return tuple(with_pairing(c, np.maximum(c.modes, 0)) if is_incomplete(c) else c for c in cases)
 
 
@@ -282,7 +282,7 @@ def pairing_at(
 def recounted(
     cases: Sequence[PlateCase], hypothesis: dict[int, Hypothesis] | Hypothesis, x: Array, scatter: float
 ) -> Cases:
-    """The same pairings with the missed modes above their last one counted at parameters x (n,)."""
+    """Plates with the missed modes above their last paired one recounted at parameters x (n,)."""
     open_ended = [i for i, case in enumerate(cases) if is_open_ended(case)]
     if not open_ended:
         return tuple(cases)
@@ -297,7 +297,7 @@ def recounted(
 def _sought(
     cases: Cases, i: int, scatter: float, forgiven: float, first: Sequence[Array]
 ) -> list[PairedLists]:
-    """Pairings of the i-th list that were fitted, the most probable first; forgiven : relative misfit."""
+    """Fitted pairings of the i-th list, the most probable first; forgiven : added relative noise."""
     nothing = Hypothesis(NONE, NONE)
     plain = _forgiving(comparison_of(in_order(cases), nothing, scatter=scatter), forgiven)
     every = _EveryMode.of(plain, i, cases)
@@ -332,7 +332,7 @@ def _sought(
 
 
 def _from_draws(every: _EveryMode, case: PlateCase) -> list[Array]:
-    """Pairings that are most probable at draws of the prior, with a large noise."""
+    """Most probable pairings at draws of the prior, with a large noise."""
     plain = every.listed
     x = plain.scores.to_x(prior_draws(plain, None, _LOG2_DRAWS, SEARCH.first_noise))
     predicted = every.predict(x[plain.model.admissible(x)])
@@ -346,10 +346,10 @@ def _from_draws(every: _EveryMode, case: PlateCase) -> list[Array]:
 
 @dataclass(frozen=True, slots=True)
 class _EveryMode:
-    """All modes of one plate of a comparison, beside the noise of its list.
+    """All modes of one plate of a comparison, and the noise of its list.
 
-    listed, wide : the comparison with the modes that are listed, and with all of them
-    modes, frequencies : of the plate, among those of all plates
+    listed, wide : the comparison with the listed modes, and with all modes
+    modes, frequencies : slices of the plate among those of all plates
     """
 
     listed: CorrelatedDensity

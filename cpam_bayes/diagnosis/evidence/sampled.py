@@ -1,4 +1,4 @@
-"""Marginal likelihoods by importance sampling about their Laplace approximations, shared out over workers.
+"""Marginal likelihoods by importance sampling about their Laplace approximations, distributed over workers.
 
 Workers hold the plates' models and are sent all else.
 """
@@ -39,14 +39,14 @@ def shared_out(
     common: Any = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> list[Answer]:
-    """``work(*item)`` of every item, in the order of the items, the same bit for bit on any executor.
+    """Results of ``work(*item)`` in the order of the items, bit-identical on any executor.
 
-    Items and answers may hold the models of the plates: a worker is sent these once, and in the answers those
-    of this process come back. Where something cannot be sent, this process does the work itself.
+    Items and answers may contain the models of the plates: a worker is sent these once, and answers refer to
+    those of this process. Where something cannot be sent, this process does the work itself.
 
     work : a function of a module or of a class
-    common : what all items hold beside the models, sent once
-    progress : is told the number of items that are done
+    common : what all items share beside the models, sent once
+    progress : called with the number of items that are done
     """
     held = _held(cases)
     try:
@@ -78,10 +78,10 @@ def _loaded() -> None:
 
 @dataclass(frozen=True)
 class _Call:
-    """What all items of a call share.
+    """Data that all items of a call share.
 
     models : of the plates, the same in most calls of a diagnosis
-    common : a pickle of what they hold beside these
+    common : a pickle of the other shared objects
     """
 
     work: Callable[..., Any]
@@ -90,7 +90,7 @@ class _Call:
 
     @cached_property
     def held(self) -> Held:
-        """The objects that are numbers in the pickles of items and answers."""
+        """Objects that the pickles of items and answers refer to by number."""
         models = self.models.parts
         return [_unpacked(models, self.common), *models]
 
@@ -100,7 +100,7 @@ def _worked(call: _Call, item: bytes) -> bytes:
 
 
 def _held(cases: Sequence[PlateCase]) -> Held:
-    """The objects that stay where they are: models of the plates, and where a plate keeps them."""
+    """Objects that are not sent with items: models of the plates, and the containers that hold them."""
     held: Held = []
     for case in cases:
         held += [case.models, case.models.bare, case.extended, *case.extended.values()]
@@ -111,14 +111,14 @@ def _held(cases: Sequence[PlateCase]) -> Held:
 
 
 def _packed(held: Held, value: Any) -> bytes:
-    """A pickle of a value, in which models that are held are numbers."""
+    """Pickle of a value, in which held objects are numbers."""
     file = BytesIO()
     _Packer(file, held).dump(value)
     return file.getvalue()
 
 
 def _unpacked(held: Held, packed: bytes) -> Any:
-    """The value, with the models that are held in this process."""
+    """Value of a pickle, with the objects held in this process."""
     return _Unpacker(BytesIO(packed), held).load()
 
 
@@ -143,9 +143,9 @@ class _Unpacker(pickle.Unpickler):
 # Models are projected once more, on modes at so many points of the proposal, log2, so that this fraction of
 # their frequencies has a relative error below the tolerance.
 _LOG2_TRAINING, _TOLERANCE, _FRACTION = 6, 2e-5, 0.98
-# Points of most weight at which the log densities of both are compared, and how far they may be apart.
+# Points of most weight at which both log densities are compared, and their largest accepted difference, nats.
 _COMPARED, _ALIKE_NATS = 16, 0.05
-# Hypotheses within so many nats of the most probable one are sampled, as roughly as is enough beyond _NEAR.
+# Hypotheses within _IN_SIGHT nats of the most probable one are sampled, roughly beyond _NEAR.
 _NEAR, _IN_SIGHT = 4.0, 10.0
 CLOSE = Rounds(least=2, good=0.5)
 ROUGH = Rounds(log2_points=6, most=6, least=2, enough=50.0, steady=0.2, good=0.3)
@@ -153,7 +153,7 @@ ROUGH = Rounds(log2_points=6, most=6, least=2, enough=50.0, steady=0.2, good=0.3
 
 @single_blas_thread
 def sampled_marginal(marginal: Marginal, rounds: Rounds = CLOSE) -> Marginal:
-    """A marginal likelihood by importance sampling from the proposal about its optima and nodes."""
+    """Marginal likelihood by importance sampling from the proposal about its optima and nodes."""
     comparison = marginal.comparison
     near = about_optima(marginal)
     sample = _sample(marginal, near, rounds)
@@ -175,13 +175,13 @@ def sampled_marginal(marginal: Marginal, rounds: Rounds = CLOSE) -> Marginal:
 
 
 def about_optima(marginal: Marginal) -> CorrelatedDensity:
-    """The comparison with models that are enough where the mixture about its optima proposes points."""
+    """The comparison with models reduced further, for points of the mixture about the optima."""
     points = sobol_points(marginal.proposal, _LOG2_TRAINING)[0]
     return marginal.comparison.about(points, _TOLERANCE, _FRACTION)
 
 
 def about_draws(marginal: Marginal) -> CorrelatedDensity:
-    """As ``about_optima``; the marginal's own comparison where that is not enough at its draws."""
+    """As ``about_optima``, but the marginal's own comparison where that is inaccurate at its draws."""
     near = about_optima(marginal)
     x = marginal.draws[np.argsort(-marginal.log_weight, kind="stable")[:_COMPARED]]
     apart = np.abs(near.log_likelihood(x) - marginal.comparison.log_likelihood(x))
@@ -204,7 +204,7 @@ def _are_alike(near: CorrelatedDensity, comparison: CorrelatedDensity, sample: W
 def sampled_near_the_best(
     tested: Sequence[Tested], cases: Sequence[PlateCase], executor: Executor | None = None
 ) -> list[Tested] | None:
-    """Hypotheses, of which those near the best are known by importance sampling; ``None`` if all were."""
+    """Hypotheses with those near the best importance-sampled; ``None`` if all of these already were."""
     best = max(t.log_weight for t in tested)
     rounds = [_rounds_of(t, best) for t in tested]
     items = [(t, each) for t, each in zip(tested, rounds, strict=True) if each is not None]
@@ -219,7 +219,7 @@ def _sampled(t: Tested, rounds: Rounds) -> Tested:
 
 
 def _rounds_of(t: Tested, best: float) -> Rounds | None:
-    """How closely a hypothesis is sampled for its distance from the best; None: it stays as it is."""
+    """Sampling rounds for a hypothesis by its distance from the best; None leaves it as it is."""
     if t.marginal.is_sampled or t.log_weight < best - _IN_SIGHT:
         return None
     is_near = t.log_weight >= best - _NEAR

@@ -49,30 +49,30 @@ from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.mechanics.problem import Array
 from cpam_bayes.running import cut_short, is_time_up, time_limit
 
-# A hypothesis explains a list whose misfit is no larger with more than this probability.
+# A hypothesis explains a list if a misfit as large has more than this probability.
 EXPLAINED = 1e-3
 # Hypotheses whose optima lie so many nats below the best are not integrated over open sizes.
 _HOPELESS_NATS = 14.0
-# Hypotheses that are fitted side by side, knowing the same of the others.
+# Hypotheses of one round, which are fitted in parallel with the same knowledge of the others.
 _ROUND = 8
-# Draws of the prior, log2, that the plain model is fitted from.
+# Draws of the prior, log2, from which the plain model is fitted.
 _LOG2_PLAIN = 11
 # Optima of the plain model that others start from too.
 _PLAIN_OPTIMA = 4
-# Leading causes, pairs among them, beside which something may be left over.
+# Leading causes, pairs included, that are also tested with a discrepancy.
 _BESIDE = 10
-# A hypothesis leaves nothing over where a larger misfit has more than this probability.
+# A hypothesis is not tested with a discrepancy where a larger misfit has more than this probability.
 _NOTHING_LEFT = 0.05
-# Optima that a fit with the forms' errors starts from.
+# Optima from which a fit with form errors starts.
 _FORM_STARTS = 4
-# Score of a size that can only add at which there is hardly any of it, and scores at which an effect's size
-# is held against the plain model's optimum: one of the two may make up for the other far away.
+# Score at which a one-sided size is nearly zero, and scores of an effect's size with which fits start at
+# the plain model's optimum: far away constants and effect may compensate each other.
 _FAINT, _MOVED = -3.0, (-2.0, -1.0, 1.0, 2.0)
-# Pairings within so many nats of the best are fitted by themselves, at most so many of a cause.
+# Pairings within so many nats of the best are fitted individually, at most so many of a cause.
 _NEAR_PAIRINGS, _MOST_PAIRINGS = 25.0, 12
-# Of incomplete lists: turns of fitting a hypothesis and of pairing at its optimum; hypotheses within so many
-# nats of the best have all pairings that the plain model suggests; optima of one pairing that another starts
-# from; pairings so many nats below the best of a hypothesis are dropped.
+# For incomplete lists: turns of fitting a hypothesis and pairing at its optimum; nats below the best within
+# which a hypothesis gets all pairings that the plain model suggests; optima of one pairing from which another
+# starts; nats below the best of a hypothesis beyond which its pairings are dropped.
 _TURNS, _NEAR_ALL_PAIRINGS, _OTHER_PAIRINGS_OPTIMA, _NEGLIGIBLE_PAIRING = 3, 10.0, 3, 12.0
 
 
@@ -93,7 +93,7 @@ def marginal_of(
 
     none : the plain model, whose optima are starts
     left_out : a frequency to leave out
-    model : one that is as good as the hypothesis's own where it is asked
+    model : used instead of the hypothesis's own, as accurate where it is evaluated
     known : (s, n) further starts
     log2_draws, least : as in ``laplace_marginal``
     """
@@ -118,7 +118,7 @@ def fitted(
     log2_draws: int = 0,
     least: float = -np.inf,
 ) -> Marginal:
-    """The marginal likelihood from starts (s, n), with what the forms of the effects miss at the optimum."""
+    """Marginal likelihood from starts (s, n), with the form errors of the effects at the optimum."""
     sizes, smooth = effect_columns(comparison, hypothesis), smooth_columns(comparison, hypothesis)
     marginal = laplace_marginal(comparison, sizes, starts, smooth=smooth, log2_draws=log2_draws, least=least)
     rough = with_form_error(comparison, hypothesis, marginal.best)
@@ -128,9 +128,9 @@ def fitted(
 
 
 def plain_starts(comparison: CorrelatedDensity, none: Marginal | None) -> Array:
-    """Scores (s, n) of the plain model's optima and of the prior medians, zero for what it lacks.
+    """Scores (s, n) of the plain model's optima and of the prior medians, zero for parameters it lacks.
 
-    Sizes that can only add begin from hardly anything too: their medians may be gross errors.
+    One-sided sizes are also started near zero: their medians may be gross errors.
     """
     medians = np.zeros((1, comparison.parameters.size))
     if none is None:
@@ -151,7 +151,7 @@ def plain_starts(comparison: CorrelatedDensity, none: Marginal | None) -> Array:
 
 
 def _moved(start: Array, size: tuple[int, ...]) -> Array:
-    """A start (n,) with other sizes, (s, n); none where the hypothesis has no size."""
+    """Copies (s, n) of a start (n,) with other sizes; none where the hypothesis has no size."""
     moved = np.repeat(start[None], len(_MOVED) if size else 0, axis=0)
     moved[:, list(size)] = np.array(_MOVED)[: len(moved), None]
     return moved
@@ -161,7 +161,7 @@ def _moved(start: Array, size: tuple[int, ...]) -> Array:
 class Trial:
     """A hypothesis to be tested.
 
-    known, cases : a start, and the pairing that it has
+    known, cases : known starts, and their pairing
     """
 
     hypothesis: Hypothesis
@@ -174,9 +174,9 @@ class Trial:
 class Tried:
     """The outcome of a trial.
 
-    tested : with every pairing that carries probability; none where it could not be tested
+    tested : with every pairing that carries probability; empty where it could not be tested
     best : largest log of prior times evidence so far
-    not_tested : why
+    not_tested : the reason
     """
 
     tested: tuple[Tested, ...]
@@ -186,14 +186,14 @@ class Tried:
 
 @dataclass(slots=True)
 class Scan:
-    """Hypotheses as they are tested, none first.
+    """Hypotheses tested so far, none first.
 
     executor : where they are fitted, ``None`` for this process
     is_rough : whether the plain model too is left to Laplace's method
     is_explained : whether the plain model explains the lists
     best : largest log of prior times evidence so far
     is_cut_short : whether time was up before all were tested
-    pairings, seeds : of incomplete lists, those of the plain model and those that hypotheses begin with
+    pairings, seeds : of incomplete lists, for the plain model, and those with which other hypotheses start
     """
 
     cases: Sequence[PlateCase]
@@ -215,16 +215,16 @@ class Scan:
 
     @property
     def plain_cases(self) -> Cases:
-        """The plates, paired as is most probable under the plain model."""
+        """The plates with their most probable pairing under the plain model."""
         return self.tested[0].cases or tuple(self.cases)
 
     @property
     def is_incomplete(self) -> bool:
-        """Whether pairings are summed over."""
+        """Whether a list is incomplete, so that pairings are summed over."""
         return any(is_incomplete(case) for case in self.cases)
 
     def begin(self, hypothesis: Hypothesis, plates: tuple[int, ...]) -> None:
-        """The plain model, whose optima are starts of all others."""
+        """Fit the plain model, whose optima are starts for all others."""
         self.pairings, self.seeds = plain_pairings(self.cases, self.scatter)
         for k, lists in enumerate(self.pairings):
             marginal = marginal_of(
@@ -244,13 +244,13 @@ class Scan:
         self.is_explained = misfit_probability(self.none) > EXPLAINED and not has_false_peaks
 
     def test(self, trials: Sequence[Trial], progress: Callable[[int], None] = lambda done: None) -> None:
-        """Fit hypotheses from many starts, round by round; those that cannot be tested are noted.
+        """Fit hypotheses from many starts, round by round, and note those that cannot be tested.
 
-        What is hopeless is known from the rounds before: the answer does not depend on who is first.
+        Only earlier rounds decide which are hopeless: the answer does not depend on which fit ends first.
 
-        progress : is told the number of trials that are done
+        progress : called with the number of trials that are done
         """
-        # those that take longest are the last round, and in it come first, so that workers are all busy
+        # the slowest form the last round and come first in it, so that all workers stay busy
         trials = sorted(trials, key=lambda trial: any(e.is_anywhere for e in trial.hypothesis.effects))
         for trial in trials:
             if not is_time_up():
@@ -277,7 +277,7 @@ class Scan:
             self.best = max(self.best, tried.best)
 
     def _end_early(self, left: Sequence[Trial]) -> None:
-        """Note what is not tested because time is up; what is in no catalogue is tested all the same."""
+        """Note hypotheses that are not tested because time is up; other is tested all the same."""
         skipped = [trial.hypothesis for trial in left if trial.hypothesis.cause != OTHER]
         if skipped:
             self.is_cut_short = True
@@ -288,7 +288,7 @@ class Scan:
             self._test_round([trial for trial in left if trial.hypothesis.cause == OTHER])
 
     def _built(self, trial: Trial) -> None:
-        """Have the models that a trial needs, so that workers share them."""
+        """Build the models that a trial needs, so that workers share them."""
         for i in trial.plates:
             if trial.hypothesis.other_material:
                 self.cases[i].of_other_material()
@@ -326,7 +326,7 @@ class Scan:
         *,
         few: bool = False,
     ) -> Tested:
-        """A hypothesis with one pairing of the lists; few : only from known starts."""
+        """Fit a hypothesis with one pairing of the lists; few : only from known starts."""
         none = self.none
         if lists.z is not None:
             none = replace(none, z=np.concatenate((lists.z, none.z[:1])))
@@ -355,7 +355,7 @@ class Scan:
     def _as_tested(
         self, hypothesis: Hypothesis, plates: tuple[int, ...], marginal: Marginal, cases: Cases
     ) -> Tested:
-        """A hypothesis with its pairing and the plain model's, where lists are incomplete."""
+        """Tested hypothesis, with its own pairing and the plain model's where lists are incomplete."""
         if not self.is_incomplete:
             return Tested(hypothesis, plates, marginal)
         as_plain = self.density(hypothesis, plates, self.plain_cases)
@@ -364,7 +364,7 @@ class Scan:
     def _add_pairings(
         self, hypothesis: Hypothesis, plates: tuple[int, ...], fits: dict[bytes, Tested]
     ) -> None:
-        """Further pairings: the most probable at the optima of the hypothesis; near the top, all others."""
+        """Add the most probable pairings at the optima of the hypothesis; near the top, all others."""
         of_plates = about(self.cases, hypothesis, plates)
         incomplete = [i for i, case in enumerate(self.cases) if is_incomplete(case)]
         for _ in range(_TURNS):
@@ -374,7 +374,7 @@ class Scan:
                 for t in order[:2]
                 for i in incomplete
             ]
-            # without any frequency that is a mode there is nothing to fit
+            # a list without any true mode leaves nothing to fit
             proposed = [cases for cases in proposed if all((case.modes >= 0).any() for case in cases)]
             new = {key_of(cases): cases for cases in proposed if key_of(cases) not in fits}
             for key, cases in new.items():
@@ -390,7 +390,7 @@ class Scan:
                     fits[lists.key] = self._fitted(hypothesis, plates, lists, z, few=True)
 
     def test_pairings(self, variants: Sequence[tuple[Hypothesis, tuple[int, ...]]]) -> None:
-        """Fit what is wrong with a list alone: all pairings at once, then the promising ones."""
+        """Fit errors of the list alone: all pairings at once, then the promising ones."""
         if not variants:
             return
         paired = list({lists.key: lists.cases for lists in (*self.pairings, *self.seeds)}.values())
@@ -417,7 +417,7 @@ class Scan:
             self.tested.append(replace(t, shift=self.shift_of(hypothesis, t)))
 
     def test_leftovers(self) -> None:
-        """Fit the best variants of leading causes that leave a misfit, with what nothing explains beside."""
+        """Fit the best variants of leading causes that leave a misfit, together with a discrepancy."""
         if self.is_explained:
             return
         leading = best_by_cause(ranked(self.tested))
@@ -447,9 +447,9 @@ class Scan:
             self.best = max(self.best, *(t.log_weight for t in found))
 
     def leftovers(self, t: Tested, other: Marginal) -> list[Tested]:
-        """A tested hypothesis with each form of a leftover; none where the plate has no modes then.
+        """A tested hypothesis with each form of discrepancy, except where the plate then has no modes.
 
-        other : the plain model with a leftover, where its fits begin too
+        other : the plain model with a discrepancy, whose optima are further starts
         """
         found = []
         for hypothesis in with_leftover(t.hypothesis)[1]:
@@ -465,14 +465,14 @@ class Scan:
     def density(
         self, hypothesis: Hypothesis, plates: tuple[int, ...], cases: Cases = ()
     ) -> CorrelatedDensity:
-        """The lists under a hypothesis about some plates, paired as in cases where these are given."""
+        """Log density of the lists under a hypothesis about some plates, paired as in ``cases`` if given."""
         of_plates = about(self.cases, hypothesis, plates)
         return comparison_of(cases or self.cases, of_plates, scatter=self.scatter)
 
     def shift_of(self, hypothesis: Hypothesis, t: Tested) -> ShiftTable | None:
-        """The shifts of a hypothesis at the plain model's optimum, if it is about the plate or has a size.
+        """Shifts by a hypothesis at the plain model's optimum, if it is about the plate or has a size.
 
-        ``None`` where modes are paired otherwise.
+        ``None`` where it changes the pairing of modes.
         """
         listed, comparison = hypothesis.listed, t.as_plain or t.marginal.comparison
         sizes = t.marginal.sizes
@@ -484,9 +484,9 @@ class Scan:
 
 
 def misfit_probability(marginal: Marginal) -> float:
-    """Probability of a misfit as large at the optimum, by chi-squared with the degrees of freedom left.
+    """p-value of the misfit at the optimum, by chi-squared with the remaining degrees of freedom.
 
-    An inferred noise has the largest amplitude of its prior's central 95 %: more is misfit.
+    An inferred noise is at most at the upper end of its prior's central 95 %: more is misfit.
     """
     comparison = marginal.comparison
     z = marginal.z[:1].copy()
@@ -509,7 +509,7 @@ def is_repairing(hypothesis: Hypothesis) -> bool:
 
 
 def with_misreading(comparison: CorrelatedDensity, starts: Array) -> Array:
-    """Starts (s, n) of a pairing, with misread frequencies off by what the model lacks there."""
+    """Starts (s, n) of a pairing, with the misreadings set to the residuals of their frequencies."""
     starts, at = starts.copy(), 0
     for part in comparison.model.parts:
         for i, column in part.misread:
@@ -529,5 +529,5 @@ def with_misreading(comparison: CorrelatedDensity, starts: Array) -> Array:
 def about(
     cases: Sequence[PlateCase], hypothesis: Hypothesis, plates: tuple[int, ...]
 ) -> Hypothesis | dict[int, Hypothesis]:
-    """A hypothesis for all plates, or for each of those that it is about."""
+    """A hypothesis for all plates, or for each of those it concerns."""
     return hypothesis if len(plates) == len(cases) else dict.fromkeys(plates, hypothesis)

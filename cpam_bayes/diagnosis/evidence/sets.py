@@ -5,8 +5,8 @@ constants are integrated in closed form at every two nodes of the effects' sizes
 optimum, or about that of a leading set, to which a cause is added. Where nothing explains the lists, gross
 errors lead these optima astray: pairs are ranked about the prior medians too, and about the constants of the
 best pair. An error of a list may show only once a cause of the plate is there: leading causes are then fitted
-together with every error of the lists. What the closed form gives the sets that show and were not fitted, at
-most about any of these points, is unaccounted for; the search goes on while that is over a hundredth.
+together with every error of the lists. The probability in closed form, the largest about any of these points,
+of sets that show and were not fitted is unaccounted for; the search goes on while it is over a hundredth.
 """
 
 from __future__ import annotations
@@ -54,19 +54,19 @@ from cpam_bayes.running import cut_short, is_time_up
 class SetSettings:
     """Limits of the search for sets of causes.
 
-    fitted, fitted_further : sets of the ranking about a point, and about the best pair
+    fitted, fitted_further : sets fitted from the ranking about a point, and about the best pair
     promising : nats below the best hypothesis; where the lists are explained, sets that promise less are not
         fitted
     starts : of a fit of two masses or flaws
     leaders : leading causes that get a second one
-    with_list_errors : causes of a plate that get every error of its list
-    list_errors_fitted : the pairs with these that are fitted
-    optima : that the search for them begins at
+    with_list_errors : causes of a plate that are combined with every error of its list
+    list_errors_fitted : number of pairs with these that are fitted
+    optima : number at which the search for them starts
     noise_scores : of an inferred noise, at which sets are ranked
-    shown : gain of a set over the better one of its causes, nats of the evidence, from which a further cause
-        shows; with less it acts with its prior probability, as beside nothing
-    grown, near : best sets, and nats below the best one, that get a further cause or lose one
-    unaccounted : probability of what was not fitted, at which the search ends
+    shown : gain in log evidence, nats, of a set over the better one of its causes, from which a further cause
+        shows; with less it acts with its prior probability, as by itself
+    grown, near : number of best sets, within so many nats of the best, that get a further cause or lose one
+    unaccounted : probability of the sets that were not fitted, at which the search ends
     rounds : of this at most
     """
 
@@ -93,9 +93,9 @@ _Key = tuple[str, str, tuple[int, ...]]
 
 @dataclass(frozen=True, slots=True)
 class _Point:
-    """Where the lists are linear: the first scores of the plain model, or of a leading cause.
+    """Point of linearisation: the first scores of the plain model, or of a leading cause.
 
-    cases : the plates with the pairing there; none where all lists are complete
+    cases : the plates with the pairing there; empty where all lists are complete
     leader : that cause, ``None`` for the plain model
     """
 
@@ -111,12 +111,12 @@ class _Point:
 
 @dataclass(frozen=True, slots=True)
 class _Linear:
-    """The lists about a point, in units of the noise with the parameters integrated.
+    """The lists linearised about a point, whitened by the noise with the parameters integrated out.
 
     residual : (n_f,) whitened
     root : (n_f, n_f), root^T root the precision
     to_scores : (n_model, n_f), from whitened residuals to the most probable scores of the parameters
-    log_constant : log density without residual
+    log_constant : log density at zero residual
     """
 
     residual: Array
@@ -144,11 +144,11 @@ class _Candidate:
     """A set that is not fitted yet.
 
     log_weight : log of prior times evidence in closed form
-    plates : that have it
-    cases : the plates with the pairing of the point; none where all lists are complete
+    plates : numbers of the plates that have it
+    cases : the plates with the pairing of the point; empty where all lists are complete
     known : the comparison of the point
-    starts : of the most probable nodes, the scores (n,) of its parameters, and the scores (d,) of the sizes
-        of each cause; none of the leader of the point
+    starts : at the most probable nodes, the scores (n,) of its parameters, and the scores (d,) of the sizes
+        of each cause, empty for the leader of the point
     """
 
     log_weight: float
@@ -160,7 +160,7 @@ class _Candidate:
 
     @property
     def key(self) -> _Key:
-        """That of the set once it is tested."""
+        """Key of the set once it is tested."""
         return (self.hypothesis.cause, self.hypothesis.variant, self.plates)
 
 
@@ -178,13 +178,13 @@ def add_sets(scan: Scan, hypotheses: Sequence[tuple[Hypothesis, tuple[int, ...]]
     if scan.is_explained:
         search.fit([search.plain, *map(_Point.of, of_pairing)], SETS.fitted, SETS.promising)
     elif explaining:
-        # a cause with a place and an extent may happen to explain what two others do better
+        # a cause with a place and an extent may by chance explain what two others explain better
         search.fit([search.plain, *search.medians, *map(_Point.of, explaining)], SETS.fitted, SETS.promising)
     else:
         points = {id(t): _Point.of(t) for t in (*leaders[:1], *of_pairing)}
         search.fit([search.plain, *search.medians, *points.values()], SETS.fitted)
         best = search.best()
-        # a set may explain the lists and yet be less probable than what nothing explains
+        # a set may explain the lists and yet be less probable than a discrepancy
         if best is None or misfit_probability(best.marginal) < EXPLAINED or best.log_weight < scan.best:
             search.fit_list_errors([(h, plates) for h, plates in hypotheses if is_repairing(h)])
         before = None
@@ -209,7 +209,7 @@ def _single_causes(scan: Scan) -> tuple[Tested, ...]:
 
 @dataclass(slots=True)
 class _SetSearch:
-    """Sets of causes as they are ranked and fitted.
+    """State of the search for sets of causes.
 
     causes : every variant of every cause, the most probable first
     scales : by number of causes, prior of a set over the product of those of its causes
@@ -233,7 +233,7 @@ class _SetSearch:
         return float(expit(odds))
 
     def must_end(self) -> bool:
-        """Whether time is up, which the scan keeps in mind."""
+        """Whether time is up, recorded in the scan."""
         self.scan.is_cut_short |= is_time_up()
         return self.scan.is_cut_short
 
@@ -251,7 +251,7 @@ class _SetSearch:
         return [_Point(replace(none, z=medians), self.plain.cases)] if len(inside) else []
 
     def about(self, tested: Tested) -> _Point:
-        """The constants of a cause or a set, without what it does."""
+        """Point at the constants of a cause or a set, without its effects."""
         scan, comparison = self.scan, self.scan.none.comparison
         if tested.cases:
             plain = scan.tested[0]
@@ -268,7 +268,7 @@ class _SetSearch:
         return next((t for t in ranked(self.scan.tested) if t.hypothesis.family == SET), None)
 
     def grow(self) -> None:
-        """Give the best sets a further cause, and take one from them, until little is unaccounted for."""
+        """Add a cause to the best sets, and remove one from them, until little is unaccounted for."""
         seen: set[_Key] = set()
         for _ in range(SETS.rounds):
             order = [t for t in ranked(self.scan.tested) if t.hypothesis.cause not in (NONE, OTHER)]
@@ -289,7 +289,7 @@ class _SetSearch:
                 return
 
     def _take_one_away(self, tested: Sequence[Tested]) -> None:
-        """Fit what is left of sets without one of their causes."""
+        """Fit sets without one of their causes."""
         trials = {}
         for t in tested:
             if len(t.hypothesis.parts) < 3:
@@ -324,9 +324,9 @@ class _SetSearch:
         scan.test(trials)
 
     def fit_list_errors(self, errors: Sequence[tuple[Hypothesis, tuple[int, ...]]]) -> None:
-        """Fit the leading causes of the plates together with the errors of their lists that suit them.
+        """Fit the leading causes of the plates together with the errors of their lists that fit best.
 
-        Of two misread frequencies neither may suit the plain model alone: all two are tried beside it.
+        Neither of two misread frequencies may fit alone under the plain model: all pairs are tried with it.
         """
         scan, leaders = self.scan, best_by_cause(t for t in self.causes if t.hypothesis.effects)
         of_plates: dict[tuple[int, ...], list[Hypothesis]] = {}
@@ -361,12 +361,12 @@ class _SetSearch:
     def _not_fitted(
         self, couples: Iterable[tuple[Hypothesis, Hypothesis]], plates: tuple[int, ...]
     ) -> tuple[Hypothesis, ...]:
-        """The pairs of two causes that can act together on some plates and are not fitted yet."""
+        """Pairs of causes that can act together on some plates and are not fitted yet."""
         pairs = (together(couple, self.scales) for couple in couples if go_together(*couple))
         return tuple(pair for pair in pairs if (pair.cause, pair.variant, plates) not in self.fitted)
 
     def _ranked(self, point: _Point) -> list[_Candidate]:
-        """The sets that add a cause to the point, or two, the best variants of each, the best set first."""
+        """Sets that add one or two causes to the point, in their best variants, the best set first."""
         linear = _linear(point.marginal)
         known = point.marginal if point.leader is not None else self.scan.none
         # the plain model's evidence is that of its closed form about its own optimum, and not elsewhere
@@ -400,7 +400,7 @@ class _SetSearch:
         return sorted(best.values(), key=lambda c: -c.log_weight)
 
     def _couples(self, point: _Point) -> Iterator[tuple[_Shifts, _Shifts]]:
-        """Two causes that can act at once, the leader of a point one of them."""
+        """Pairs of causes that can act together, one of them the leader of the point if it has one."""
         leader = point.leader
         singles, seconds = list[_Shifts](), list[_Shifts]()
         for t in self.causes:
@@ -422,12 +422,12 @@ class _SetSearch:
 
 
 def _act_together(a: Tested, b: Tested) -> bool:
-    """Whether two causes as they are tested can act at once."""
+    """Whether two tested causes can act together."""
     return a.plates == b.plates and go_together(a.hypothesis, b.hypothesis)
 
 
 def _linear(marginal: Marginal) -> list[_Linear]:
-    """At each of the scores of an inferred noise, or once."""
+    """Linearised lists at each of the scores of an inferred noise, or once."""
     comparison, z = marginal.comparison, marginal.z[:1]
     n_model = comparison.model.parameters.size
     scores = [z]
@@ -452,9 +452,9 @@ def _linear(marginal: Marginal) -> list[_Linear]:
 
 
 def _shifts(scan: Scan, point: _Point, t: Tested) -> _Shifts | None:
-    """The shifts of a cause that can act beside the leader of a point.
+    """Shifts by a cause that can act beside the leader of a point.
 
-    ``None`` where it has none, where modes are paired otherwise, and where no size keeps the plate sound.
+    ``None`` where it has none, where the pairing differs, and where no size is admissible.
     """
     hypothesis, sizes = t.hypothesis, t.marginal.sizes
     if not hypothesis.effects and not sizes:
@@ -478,14 +478,14 @@ def _shifts(scan: Scan, point: _Point, t: Tested) -> _Shifts | None:
 
 
 def _together(linear: Sequence[_Linear], a: _Shifts, b: _Shifts) -> tuple[float, list[tuple[int, int, int]]]:
-    """Log density of the lists with two causes, and noise and nodes of both where it is largest."""
+    """Log density of the lists with two causes, and indices of noise and nodes where it is largest."""
     each = []
     for own in linear:
         left, right = own.residual - a.shift @ own.root.T, b.shift @ own.root.T
         distance = np.sum(left**2, axis=1)[:, None] + np.sum(right**2, axis=1) - 2.0 * left @ right.T
         each.append(own.log_constant - 0.5 * distance + a.log_prior[:, None] + b.log_prior)
     log_density = np.stack(each)
-    # places of two masses or flaws are hardly met by a few nodes: several of these are begun from
+    # a few nodes hardly hit the places of two masses or flaws: several of them are starts
     most = SETS.starts if any(e.repeats for e in b.cause.hypothesis.effects) else 1
     flat = np.argsort(-log_density, axis=None, kind="stable")[:most]
     return float(logsumexp(log_density)), [
@@ -510,7 +510,7 @@ def _start(scan: Scan, candidate: _Candidate) -> Array:
 def _promising(
     cases: tuple[PlateCase, ...], t: Tested, pairs: tuple[Hypothesis, ...], scatter: float
 ) -> list[tuple[int, Array]]:
-    """Numbers of the pairs with a cause that fit the lists best, and starts (s, n) of each."""
+    """Indices of the pairs with a cause that fit the lists best, and starts (s, n) for each."""
     cases = t.cases or cases
     comparisons = [comparison_of(cases, about(cases, pair, t.plates), scatter=scatter) for pair in pairs]
     alone = comparison_of(cases, about(cases, t.hypothesis, t.plates), scatter=scatter)

@@ -1,4 +1,4 @@
-"""Every hypothesis weighed against the data, sets of causes among them: evidences and probabilities."""
+"""Evidences and probabilities of all hypotheses, sets of causes included."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ _SAMPLING_ROUNDS = 3
 class Weighed:
     """All hypotheses, the most probable first, and what could not be tested.
 
-    prior : prior probability of every cause, of pairings that explain nothing too
-    is_cut_short : whether time was up before all were tested, so that probabilities are of a part of them
+    prior : prior probability of every cause, pairings that explain nothing included
+    is_cut_short : whether time was up before all were tested, so that probabilities cover a part of them
     unaccounted : probability of sets of causes that were not fitted
     """
 
@@ -58,7 +58,7 @@ class Weighed:
         return tuple((t, t.probability / total) for t in variants)
 
     def in_plain_pairing(self) -> Weighed:
-        """Every hypothesis once, with the pairing of incomplete lists that the plain model has."""
+        """Every hypothesis once, with the plain model's pairing of incomplete lists."""
         if not self.none.cases:
             return self
         first: dict[tuple[str, str, tuple[int, ...]], Tested] = {}
@@ -101,12 +101,12 @@ def weigh(
     progress: Callable[[int, int], None] = lambda done, total: None,
     so_far: Callable[[Mapping[str, float]], None] = lambda shares: None,
 ) -> Weighed:
-    """Marginal likelihoods of hypotheses, each about some of the plates, none first, and of sets.
+    """Weigh hypotheses, each about some of the plates, none first, and sets of them.
 
     Where none is not the most probable of all, the best sets of causes are tested too.
 
     executor : where hypotheses are fitted, ``None`` for this process
-    so_far : is told the shares of the causes among the hypotheses that are tested
+    so_far : called with the shares of the causes among the hypotheses tested so far
     """
     scan = Scan(cases, scatter, executor)
 

@@ -1,1 +1,1 @@
-"""A plate as an ABAQUS-format input deck, and CalculiX run on it through files."""
+"""A plate as an ABAQUS-format input deck, and CalculiX runs of it through files."""

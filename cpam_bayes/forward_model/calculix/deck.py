@@ -1,8 +1,8 @@
 """The input deck of a plate in ABAQUS format, which ABAQUS and CalculiX both read, and the mesh in it.
 
 Units are N, m, kg and s. The mesh has 8-node shells, or 20-node bricks in layers through the thickness:
-regular grids of vertices and of the middles between two neighbouring ones; a node stands where at most one of
-its indices is a middle. Edge elements are narrow: a free edge has a twisting boundary layer as wide as the
+regular grids of vertices and of the middles between two neighbouring ones; a node is where at most one of its
+indices is a middle. Edge elements are narrow: a free edge has a twisting boundary layer as wide as the
 thickness, and the stress at a clamped face is singular.
 """
 
@@ -56,10 +56,10 @@ class PlateMesh:
     """Nodes and elements, numbered from 1.
 
     nodes : (n, 3) m, z = 0 at the midplane.
-    elements : (n_layers, n_elements, 8 or 20) node numbers, layers from the bottom up, shells one layer.
+    elements : (n_layers, n_elements, 8 or 20) node numbers, layers from the bottom up, one for shells.
     edges : nodes of x0, y0, x1, y1.
     surfaces : (2, nx, ny) vertices on the bottom and on top of bricks, (1, nx, ny) of shells.
-    x, y : (nx,), (ny,) m, where they stand.
+    x, y : (nx,), (ny,) m, their coordinates.
     """
 
     nodes: Floats
@@ -76,7 +76,7 @@ class PlateMesh:
 
 
 def element_counts(length: float, width: float, in_plane: int) -> tuple[int, int]:
-    """Elements along x and y, about square and about ``in_plane`` together, at least 4 each."""
+    """Numbers of elements along x and y, about square and about ``in_plane`` in all, at least 4 each."""
     along_x = round(np.sqrt(in_plane * length / width))
     along_y = round(np.sqrt(in_plane * width / length))
     return max(along_x, 4), max(along_y, 4)
@@ -85,7 +85,7 @@ def element_counts(length: float, width: float, in_plane: int) -> tuple[int, int
 def grid_lines(
     length: float, n: int, thickness: float, ends: tuple[str, str], points: Sequence[float] = ()
 ) -> Floats:
-    """Element boundaries on [0, length], about n elements, one boundary at each of ``points``.
+    """Boundaries of about n elements on [0, length], one at each of ``points``.
 
     ends : letters of the conditions at 0 and at length. Edge elements are narrow where the
     uniform spacing is wider than the boundary layer there.
@@ -103,7 +103,7 @@ def grid_lines(
 
 
 def _through(lines: Floats, points: Sequence[float], tolerance: float) -> Floats:
-    """The lines, the nearest moved onto each point, or one added where that one must stay."""
+    """The lines with the nearest moved onto each point, or one added where the nearest is fixed."""
     fixed = [lines[0], lines[-1]]
     for point in points:
         nearest = int(np.argmin(np.abs(lines - point)))
@@ -119,7 +119,7 @@ def layer_boundaries(heights: Floats) -> tuple[Floats, Integers]:
     """Boundaries z (n_layers + 1,) of layers of bricks, and the run of plies each belongs to.
 
     heights : (n_runs,) m, thicknesses of the runs of equal plies, bottom to top. A run has one
-    layer, more where it is thicker than a quarter of the plate.
+    layer, or more where it is thicker than a quarter of the plate.
     """
     fraction = heights / heights.sum()
     counts = np.maximum(np.ceil(fraction * _LAYERS - 1e-9), 1).astype(np.int64)
@@ -179,7 +179,7 @@ _DEGREE_OF_FREEDOM = {"u": 1, "v": 2, "w": 3, "phi_y": 4, "phi_x": 5}
 _TYPE: dict[Element, str] = {"shell": "S8R", "brick": "C3D20R"}
 
 _SHELLS_IN_PLANE = 256
-# Elements in the plane are as many as a budget of bricks allows: with 31 layers, 128 leave
+# A budget of bricks limits the elements in the plane: with 31 layers, 128 leave an error of
 # 0.1 % in the tenth mode of the thick plates; with 4, more than 320 gain 0.03 %.
 _BRICKS = 4000
 _BRICKS_IN_PLANE = (128, 320)
@@ -191,7 +191,7 @@ _NUMBER = ".12g"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Deck:
-    """A deck and its mesh; n_rigid : rigid-body motions that the edges leave."""
+    """A deck and its mesh; n_rigid : number of rigid-body motions that the edges leave free."""
 
     text: str
     mesh: PlateMesh
@@ -208,12 +208,12 @@ def plate_deck(
 ) -> Deck:
     """The deck of a specimen: mesh, plies, edges, known masses, a step for its modes.
 
-    Shells are S8R with a composite section. Bricks are C3D20R in layers, of which each run of equal plies has
-    its own. Plies are those of `material_card`. Bricks are held on the whole face of an edge.
+    Shells are S8R with a composite section. Bricks are C3D20R in layers, with own layers for each
+    run of equal plies. Plies are those of `material_card`. Bricks are held on the whole face of an edge.
 
     constants : E1, E2, nu12, G12, G13, G23, all six, Pa or dimensionless; of a hybrid those of each material.
-    n_modes : deformation modes; the step asks for the rigid-body motions beside them.
-    in_plane : elements in the plane; left out, enough for the first ten modes.
+    n_modes : deformation modes; the step requests the rigid-body motions too.
+    in_plane : elements in the plane; by default enough for the first ten modes.
 
     Raises ValueError for unknown angles, a mesh file, constants that are incomplete or that no
     material can have, and for more bricks than can be solved.
@@ -277,7 +277,7 @@ class PlyRuns:
 
     angles : (m,) degrees
     heights : (m,) m
-    material : (m,) positions in ``names``, the materials of a hybrid
+    material : (m,) indices into ``names``, the materials of a hybrid
     density : (m,) kg/m3
     """
 
@@ -336,9 +336,9 @@ def _check_size(lines: tuple[NDArray[np.float64], ...], n_layers: int) -> None:
 def material_card(
     constants: Mapping[str, float], symmetry: MaterialSymmetry, density: float, name: str = "PLY"
 ) -> str:
-    """The card of a ply's material with what plates hardly show through the thickness.
+    """The card of a ply's material, with through-thickness constants that hardly affect plates.
 
-    E3 = E2, nu13 = nu12 and nu23 by eq. (6); of an orthotropic ply E3 is the smaller of E1 and E2, nu13 and
+    E3 = E2, nu13 = nu12 and nu23 by eq. (6); for an orthotropic ply E3 is the smaller of E1 and E2, nu13 and
     nu23 are 0.
 
     constants, density : as for `plate_deck`; kg/m3.
@@ -385,7 +385,7 @@ def _through_thickness(
 
 
 def _is_positive_definite(moduli: tuple[float, float, float], nu12: float, nu13: float, nu23: float) -> bool:
-    """Whether the compliance of the three normal stresses is, times E1."""
+    """Whether the compliance of the three normal stresses, times E1, is positive definite."""
     if not np.all(np.isfinite((*moduli, nu12, nu13, nu23))):
         return False
     to_2, to_3 = moduli[0] / moduli[1], moduli[0] / moduli[2]
@@ -417,7 +417,7 @@ def _elements(mesh: PlateMesh, owner: NDArray[np.int64], kind: str) -> Iterable[
 
 
 def orientation_card(index: int, angle_deg: float) -> str:
-    """Axes of plies turned by an angle from x, named ANGLE_1 for index 0."""
+    """The card of ply axes turned by an angle from x, named ANGLE_1 for index 0."""
     c, s = np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))
     axes = np.round([c, s, 0.0, -s, c, 0.0], 12) + 0.0
     return "\n".join(
@@ -430,7 +430,7 @@ def orientation_card(index: int, angle_deg: float) -> str:
 
 
 def _shell_section(runs: PlyRuns, which: NDArray[np.int64], cards: tuple[str, ...]) -> str:
-    """Runs from the bottom up: thickness, points of Simpson's rule (ABAQUS), material, axes."""
+    """The card of runs from the bottom up: thickness, points of Simpson's rule (ABAQUS), material, axes."""
     rows = (
         f"{t:{_NUMBER}}, 3, {cards[m]}, ANGLE_{o + 1}"
         for t, m, o in zip(runs.heights, runs.material, which, strict=True)
@@ -463,12 +463,12 @@ def _boundaries(edges: str, mesh: PlateMesh, element: Element) -> Iterable[str]:
 
 
 def number_line(values: Iterable[float]) -> str:
-    """Numbers as both programs read them, on one line."""
+    """Numbers on one line, as both programs read them."""
     return ", ".join(f"{v:{_NUMBER}}" for v in values)
 
 
 def integer_lines(numbers: list[int], first_line: int = 16) -> str:
-    """Numbers, at most 16 a line as ABAQUS reads them; a line that goes on ends in a comma."""
+    """Numbers, at most 16 a line as ABAQUS reads them; continued lines end in a comma."""
     cuts = [0, *range(first_line, len(numbers), 16), len(numbers)]
     rows = (numbers[a:b] for a, b in pairwise(cuts))
     return ",\n".join(", ".join(map(str, row)) for row in rows)

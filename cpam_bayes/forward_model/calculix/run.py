@@ -1,4 +1,4 @@
-"""A plate solved by the program CalculiX: a deck goes in, frequencies and modes are read from its results."""
+"""A plate solved by the program CalculiX: a deck in, frequencies and modes from its results."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from cpam_bayes.plate import Specimen
 from cpam_bayes.plate.edges import Field
 from cpam_bayes.storage import draft_directory
 
-# A rigid-body motion has eigenvalue zero but for rounding, which grows as plies get thinner: at
-# most this fraction of the first deformation mode's.
+# A rigid-body motion has eigenvalue zero up to rounding, which grows as plies get thinner: at most this
+# fraction of the first deformation mode's.
 _RIGID_TOLERANCE: Final = 1e-2
-# Neighbouring deformation modes are never this far apart; a motion that a lost edge condition or
-# an hourglass made free is far from all of them.
+# Least ratio of neighbouring deformation eigenvalues; a motion freed by a lost edge condition or an
+# hourglass is further from all of them.
 _WIDEST_GAP: Final = 1e-4
 # A row of the table of eigenvalues: number, eigenvalue, three columns that follow from it.
 _EIGENVALUE = re.compile(r"\s*(\d+)\s+(\S+)\s+\S+\s+\S+\s+\S+\s*")
@@ -32,13 +32,13 @@ _DISPLACEMENT = re.compile(r"\s*(\d+)\s+(\S+)\s+(\S+)\s+(\S+)\s*")
 
 
 class CalculixError(ValueError):
-    """CalculiX is not there, failed, or gave an answer that cannot be right."""
+    """A failure of CalculiX: it is missing, failed, or gave an answer that cannot be right."""
 
 
 def read_eigenvalues(text: str) -> NDArray[np.float64]:
     """Eigenvalues in the results (.dat) of a frequency step, (n,) (rad/s)^2, as listed.
 
-    Raises CalculixError for a row that holds no number.
+    Raises CalculixError for a row without a number.
     """
     eigenvalues: list[float] = []
     in_table = False
@@ -78,9 +78,9 @@ def read_displacements(text: str, nodes: NDArray[np.int64]) -> NDArray[np.float6
 
 
 def deformation_modes(eigenvalues: NDArray[np.float64], n_rigid: int) -> NDArray[np.int64]:
-    """Places of the deformation modes in a list of eigenvalues, by ascending frequency.
+    """Indices of the deformation modes in a list of eigenvalues, by ascending frequency.
 
-    n_rigid : rigid-body motions that the edges leave.
+    n_rigid : number of rigid-body motions that the edges leave free.
 
     Raises CalculixError when the eigenvalues show another number of them.
     """
@@ -120,8 +120,8 @@ _SHOWN_LINES: Final = 12
 def run_deck(text: str, *, timeout: float | None = None) -> str:
     """The results (.dat) of CalculiX for the text of a deck, run in a temporary directory.
 
-    The program is ``ccx``, or what the environment variable CPAM_BAYES_CCX names. It runs on one thread
-    unless OMP_NUM_THREADS says otherwise.
+    The program is ``ccx``, or the one named by the environment variable CPAM_BAYES_CCX. It runs on one
+    thread unless OMP_NUM_THREADS is set.
 
     timeout : s.
 
@@ -154,7 +154,7 @@ def _program() -> str:
 
 
 def _execute(program: str, folder: Path, timeout: float | None) -> str:
-    """Run the program in a folder; its output."""
+    """Run the program in a folder and return its output."""
     environment = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **os.environ}
     try:
         done = subprocess.run(
@@ -216,8 +216,8 @@ def solve_modes(
     constants, in_plane : as for `plate_deck`.
     timeout : s.
 
-    Raises ValueError as `plate_deck` does, and CalculixError as `run_deck` does or when the number of modes
-    is wrong.
+    Raises ValueError like `plate_deck`, and CalculixError like `run_deck` or when the number of modes is
+    wrong.
     """
     deck = plate_deck(specimen, constants, element, n_modes, in_plane=in_plane)
     results = run_deck(deck.text, timeout=timeout)
@@ -259,7 +259,7 @@ def _interpolation(axis: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _mode(frequency: float, shape: NDArray[np.float64], edges: str) -> Mode:
-    """Kind and label as of the other solvers; the label of an in-plane mode names its field."""
+    """A mode with kind and label as by the other solvers; the label of an in-plane mode names its field."""
     weight = np.ones(_GRID)
     weight[[0, -1]] = 0.5
     energy = np.einsum("fij,i,j->f", shape**2, weight, weight)

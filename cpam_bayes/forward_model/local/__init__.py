@@ -1,1 +1,1 @@
-"""Reduced models of changes at any place of a plate."""
+"""Reduced models of plates with a local change at any place."""

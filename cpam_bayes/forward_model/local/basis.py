@@ -25,12 +25,12 @@ from cpam_bayes.running import single_blas_thread
 
 @dataclass(frozen=True, slots=True)
 class LocalSettings:
-    """How the basis is made.
+    """Settings of the basis.
 
     further : polynomials added to those of the bare plate's space in each direction
-    modes : of the bare plate that the leading basis holds, over those predicted
+    modes : number of modes of the bare plate in the leading basis beyond those predicted
     constants, places : numbers of training sets, and of places at each
-    leading, rest : energies that may be missing of a mode, and of a response at the largest mass
+    leading, rest : energy that may be missing of a mode, and of a response at the largest mass
     """
 
     further: int = 4
@@ -46,14 +46,14 @@ PATCH_SETTINGS = LocalSettings(further=8, modes=6, constants=10, places=24, lead
 # Shift of the energy over the lowest eigenvalue: it makes a free plate stiff.
 _SHIFT = 0.3
 _RIGID = 1e-4
-# Of the mean radius of gyration of a point mass, for its responses.
+# Fraction of the mean radius of gyration of a point mass, for its responses.
 _ROTATION = 0.3
-# Of the loads of known masses: they are at known places, and what is missed of their answers is an error.
+# Factor on loads of known masses: at known places, any missing part of their responses is an error.
 _KNOWN = 10.0
 
 
 def local_space(problem: Problem, settings: RitzSettings) -> RitzSpace:
-    """Trial functions for a local change: all of them, but few for stretching where it stands alone."""
+    """Trial functions for a local change: all of them, but few for stretching where it is uncoupled."""
     space = ritz_space(problem.edges, problem.nominal, settings)
     k = np.real(problem.nominal.stiffness())
     if np.abs(k[:3, 3:6]).max() > 1e-9 * np.sqrt(np.abs(k[0, 0] * k[3, 3])):
@@ -69,15 +69,16 @@ def local_space(problem: Problem, settings: RitzSettings) -> RitzSpace:
 def point_mass_model(plate: PlateModel, samples: Array, added: ParameterSet) -> LocalModel:
     """A plate with a point mass anywhere.
 
-    plate, samples : converged on a Ritz space, and (m, n_parameters), the centre of its priors first
+    plate : converged on a Ritz space
+    samples : (m, n_parameters), the centre of its priors first
     added : the mass, kg, its place, and its radius of gyration, m
     """
     how = POINT_SETTINGS
     trained, rng = _training(plate, samples, how)
     space, parts = trained.plain.operator.space, trained.block.parts
     rows = rows_at(space, parts, _training_places(rng, how.places))
-    # its translation, and its rotation about the midplane, of which a part is enough: what the basis lacks of
-    # it is as if the radius of gyration, which is open, were less
+    # its translation, and its rotation about the midplane, of which a part is enough: what the basis lacks
+    # of it acts like a smaller radius of gyration, which is free
     arm = np.hypot(
         float(np.real(plate.operator.problem.nominal.thickness)) / 2,
         _ROTATION * added.parameters[3].prior.mean,
@@ -88,7 +89,7 @@ def point_mass_model(plate: PlateModel, samples: Array, added: ParameterSet) -> 
         _basis(trained, b, [np.sqrt(top) * loads for top in trained.highest], how)
         for b, loads in enumerate(by_block)
     ]
-    # fields of blocks that hold responses: a load on another one does nothing new
+    # fields of blocks that hold responses: a load on another one adds nothing
     answering = [v.shape[1] > n and r for (v, n), r in zip(grown, rows, strict=True)]
     loads = tuple(i for i in range(len(FIELDS)) if any(r is not False and r[i].any() for r in answering))
     return _assembled(trained, grown, added, PointMass(loads))
@@ -98,7 +99,7 @@ def point_mass_model(plate: PlateModel, samples: Array, added: ParameterSet) -> 
 def patch_model(plate: PlateModel, samples: Array, added: ParameterSet, form: PatchForm) -> LocalModel:
     """A plate with a softer patch anywhere.
 
-    plate, samples : as of ``point_mass_model``
+    plate, samples : as for ``point_mass_model``
     added : the fraction of stiffness lost, the place, and the extent over the shorter side
     """
     patch, how = patch_of(form, plate.operator.problem), PATCH_SETTINGS
@@ -126,14 +127,14 @@ def patch_model(plate: PlateModel, samples: Array, added: ParameterSet, form: Pa
 
 
 def patch_of(form: PatchForm, problem: Problem) -> Patch:
-    """Patches of a plate, whose extent is over its shorter side."""
+    """The patch of a plate, with its extent relative to the shorter side."""
     sides = [float(np.real(side)) for side in (problem.nominal.length, problem.nominal.width)]
     return Patch(form, (min(sides) / sides[0], min(sides) / sides[1]))
 
 
 @dataclass(frozen=True, slots=True)
 class _Training:
-    """A plate at the sets of constants that its basis is made from.
+    """A plate at the sets of constants from which its basis is made.
 
     plain : in the full space
     block : its symmetries as parts, with known masses
@@ -142,7 +143,7 @@ class _Training:
     modes : eigenvalues (m, k) and vectors (m, k, n) of every part
     last, highest : (m,) eigenvalues of the last mode of the leading basis, and of the last one predicted
     first : lowest eigenvalue of a deformation mode
-    shift : of the energy in which loads are answered
+    shift : of the energy in which the plate responds to loads
     """
 
     plain: PlateModel
@@ -182,7 +183,7 @@ def _training(plate: PlateModel, samples: Array, how: LocalSettings) -> tuple[_T
 
 
 def _lowest(trained: _Training, s: int, k: int) -> list[Array]:
-    """The k lowest modes that deform the plate at one set of constants, of unit energy, by block (n, k)."""
+    """The k lowest deformation modes at one set of constants, of unit energy, by block (n, k)."""
     first = rigid_body_count(trained.plain.operator.problem.edges)
     order = np.argsort(np.concatenate([lam[s] for lam, _ in trained.modes]))[first : first + k]
     out, start = [], 0
@@ -197,10 +198,10 @@ def _lowest(trained: _Training, s: int, k: int) -> list[Array]:
 
 
 def _basis(trained: _Training, b: int, loads: list[Array], how: LocalSettings) -> tuple[Array, int]:
-    """The basis of one part (n, r) and how many of its vectors are the bare plate's own.
+    """The basis of one part (n, r), and the number of its vectors that are the bare plate's own.
 
     loads : (n_loads, n) for every set of constants, as large as they act on a mode of unit energy; those of
-    known masses come on top
+    known masses are added
     """
     block = trained.block.parts[b]
     known = (
@@ -215,7 +216,7 @@ def _basis(trained: _Training, b: int, loads: list[Array], how: LocalSettings) -
     k, m = block.stiffness.assemble(trained.stiffness), block.mass.assemble(trained.mass)
     root = np.linalg.cholesky(k[0] + trained.shift * m[0]).T
     lam, vectors = trained.modes[b]
-    # the frequency of a rigid-body motion is rounding
+    # the frequency of a rigid-body motion is rounding error
     rigid = np.abs(lam) < _RIGID * trained.first
     basis = _grown(np.empty((block.size, 0)), root @ vectors[0, rigid[0]].T, 0.0)
     bare_modes = [
@@ -257,11 +258,11 @@ def rows_at(space: RitzSpace, parts: Sequence[DenseBlock], points: Array) -> lis
 
 
 def _grown(basis: Array, snapshots: Array, tolerance: float) -> Array:
-    """An orthonormal basis with what it takes to leave less than ``tolerance`` of every snapshot (n, k)."""
+    """An orthonormal basis extended to leave less than ``tolerance`` of every snapshot (n, k)."""
     rest = snapshots - basis @ (basis.T @ snapshots)
     if not rest.size:
         return basis
-    # directions by their part of all snapshots; squares, so half the digits, of which three are needed
+    # directions by their part of all snapshots; squares keep half the digits, of which three are needed
     u = np.linalg.eigh(rest @ rest.T)[1][:, ::-1][:, : rest.shape[1]]
     parts = (u.T @ rest) ** 2
     missing = np.cumsum(parts[::-1], axis=0)[::-1].max(axis=1)
@@ -274,7 +275,7 @@ def _assembled(
     trained: _Training, grown: list[tuple[Array, int]], added: ParameterSet, change: Change
 ) -> LocalModel:
     operator, block = trained.plain.operator, trained.block
-    # as many modes of a part as any set of constants has in range
+    # the largest number of modes of a part that any set of constants has in range
     in_range = [int((lam <= trained.last[:, None]).sum(axis=1).max()) for lam, _ in trained.modes]
     used = [
         (part, rows, v, leading, min(k, leading))
@@ -283,7 +284,7 @@ def _assembled(
         )
         if v.size
     ]
-    # known masses where only rigid-body motions are change no mode
+    # known masses where there are only rigid-body motions change no mode
     there = np.any([(v.shape[1] > n) & rows.any(axis=1) for _, rows, v, n, _ in used], axis=0)
     loaded = LoadedBlock(
         tuple(part.project(v) for part, _, v, *_ in used),

@@ -1,4 +1,4 @@
-"""Fields, strains and loads of a reduced basis at any points and over patches, for stacks of plates."""
+"""Fields, strains and loads of a reduced basis at arbitrary points and over patches, for stacks of plates."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cpam_bayes.plate.edges import Field
 class FieldPart:
     """Contribution of one sector of trial functions to a field of the basis vectors of one block.
 
-    block, columns : number of the block, and of its vectors in the whole basis
+    block, columns : index of the block, and those of its vectors in the whole basis
     tensor : (x.size, y.size, n_columns)
     """
 
@@ -32,7 +32,7 @@ class FieldPart:
 
 
 def field_parts(space: RitzSpace, indices: list[Array], bases: list[Array]) -> tuple[FieldPart, ...]:
-    """The parts of bases (n_block, r), one a block whose trial functions have these indices in the space."""
+    """Parts of bases (n_block, r), one per block, with the indices of its trial functions in the space."""
     parts = []
     first = 0
     for sector in space.sectors:
@@ -68,7 +68,7 @@ class PointValues:
         return self._values[key][1]
 
     def along(self, families: tuple[Family, ...], derivative: bool) -> Array:
-        """Those of several families, one after the other, (..., size)."""
+        """Functions or derivatives of several families, one after the other, (..., size)."""
         return np.concatenate([self.at(family, derivative) for family in families], axis=-1)
 
     def _raw(self, family: Family, derivative: bool) -> Array:
@@ -88,10 +88,10 @@ class PointValues:
 
 @dataclass(frozen=True, slots=True)
 class FieldGrid:
-    """All functions of x and of y that some sectors of one field are made of.
+    """All functions of x and of y of which some sectors of one field are made.
 
     x, y : families, one after the other
-    cells : number of each sector or part, and its functions among those of x and of y
+    cells : index of each sector or part, and slices of its functions in those of x and of y
     """
 
     field: Field
@@ -106,7 +106,7 @@ class FieldGrid:
 
 
 def field_grid(field: Field, sectors: Sequence[FieldPart]) -> FieldGrid:
-    """The functions of one field of some sectors."""
+    """The functions of x and y in those sectors that are of one field."""
     of_field = [(number, s) for number, s in enumerate(sectors) if s.field == field]
     xs, ys = ({id(getattr(s, a)): getattr(s, a) for _, s in of_field} for a in ("x", "y"))
     in_x, in_y = _places(xs), _places(ys)
@@ -134,7 +134,7 @@ def values_at_points(
 
 PatchForm = Literal["bell", "rectangle"]
 
-# Widths of a bell within which it is integrated: beyond lie 5e-4 of it. Points that its measure has there.
+# Range of a bell's integration, in its widths: 5e-4 of it lie beyond. Points of its measure there.
 _REACH, _FINE = 3.5, 48
 
 
@@ -144,7 +144,7 @@ class PatchRule:
 
     points : reference coordinate
     weight : of the integral with the profile g
-    per_centre, per_width : derivatives of the integral over centre and width of the patch, as weights
+    per_centre, per_width : derivatives of the integral by centre and width of the patch, as weights
     """
 
     points: Array
@@ -158,9 +158,9 @@ def patch_rules(
 ) -> tuple[PatchRule, PatchRule]:
     """The rules in x and y of patches with centres and widths (m, 2), of n (m,) points each.
 
-    Where others have more, further points without weight follow.
+    Where others have more, further points of zero weight follow.
 
-    with_ends : so that the rules tell how the integrals change, which those of a rectangle do at its ends
+    with_ends : with points at the ends, where a change of a rectangle changes the integrals
     """
     m = len(n)
     rule = _bell if form == "bell" else _rectangle
@@ -174,7 +174,7 @@ def patch_rules(
 
 
 def _bell(centre: Array, width: Array, n: Array, with_ends: bool) -> PatchRule:
-    """Gauss's rule for the bell as a weight; beyond the plate there is none of it."""
+    """Gauss's rule for the bell as a weight, which ends at the edges of the plate."""
     start, end = centre - _REACH * width, centre + _REACH * width
     low, high = np.maximum(start, 0.0), np.minimum(end, 1.0)
     nodes, weights = _nodes(_FINE)
@@ -205,10 +205,10 @@ def _rectangle(centre: Array, width: Array, n: Array, with_ends: bool) -> PatchR
 
 
 def _gauss(points: Array, weights: Array, n: Array) -> tuple[Array, Array]:
-    """Gauss's rules of n (m,) points for the discrete measures of weights (m, k) at points (m, k).
+    """Gauss's rules of n (m,) points for discrete measures with weights (m, k) at points (m, k).
 
     By the recurrence of their orthogonal polynomials (Stieltjes) and its tridiagonal matrix (Golub and
-    Welsch, Math. Comp. 23, 1969), which falls apart after n rows.
+    Welsch, Math. Comp. 23, 1969), which decouples after n rows.
     """
     most = int(n.max())
     whole = weights.sum(axis=1)
@@ -237,10 +237,10 @@ def _nodes(n: int) -> tuple[Array, Array]:
 Parts = Sequence[FieldPart]
 Rules = tuple[PatchRule, PatchRule]
 
-# Curvatures and transverse shears: what a softer patch multiplies, and the derivatives that they have.
+# Curvatures and transverse shears, whose stiffness a softer patch reduces, and the derivatives in them.
 BENT = tuple(range(3, 8))
 ATOMS = tuple(dict.fromkeys(atom for q in BENT for atom, _ in STRAIN_ATOMS[q]))
-# Of each derivative: the one strain that it belongs to, and the size that divides it.
+# For each derivative, the one strain to which it belongs, and the size that divides it.
 STRAIN_OF = tuple(
     next((i, size) for i, q in enumerate(BENT) for atom, size in STRAIN_ATOMS[q] if atom == wanted)
     for wanted in ATOMS
@@ -250,10 +250,10 @@ _FIELDS = tuple(dict.fromkeys(atom.field for atom in ATOMS))
 
 @dataclass(frozen=True, slots=True)
 class _Side:
-    """Functions of x of one field, or their derivatives, and what they are multiplied by.
+    """Functions of x of one field, or their derivatives, and the functions of y that they multiply.
 
     in_x : (m, n, nx) at the points
-    in_y : of each product its number and the functions of y, (m, n, ny)
+    in_y : index of each product and its functions of y, (m, n, ny)
     """
 
     in_x: Array
@@ -294,7 +294,7 @@ class PatchPoints:
             self._fields.append((grid, sides))
 
     def rows(self, vectors: list[Array], columns: list[slice]) -> Array:
-        """Rows of vectors (m, n, k) of each block, which stand in these columns, (m, n_rows, n_points r)."""
+        """Rows of vectors (m, n, k) of each block, placed in these columns, (m, n_rows, n_points r)."""
         m, n = self.shape
         r = max(c.stop for c in columns)
         out = np.zeros((m, self.n_rows, n, n * r))
@@ -306,7 +306,7 @@ class PatchPoints:
                 coefficients[:, along, across, columns[b]] += _coefficients(self.parts[number], vectors[b])
             flat = coefficients.reshape(m, nx, ny * r)
             for side in sides:
-                # one product a set: the other direction first
+                # one product per set: the other direction first
                 in_x = (side.in_x @ flat).reshape(m, n, ny, r).transpose(0, 2, 1, 3).reshape(m, ny, n * r)
                 for i, in_y in side.in_y:
                     out[:, i] += in_y @ in_x
@@ -335,7 +335,7 @@ class PatchPoints:
 def _coefficients(part: FieldPart, vectors: Array) -> Array:
     """Coefficients of vectors (m, n, k) of the basis in a part's products of functions, (m, nx, ny, k).
 
-    Vectors may be shorter than the basis: the leading ones.
+    Vectors may be on the leading part of the basis only.
     """
     nx, ny, _ = part.tensor.shape
     n = vectors.shape[1]

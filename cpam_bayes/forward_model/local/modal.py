@@ -1,8 +1,8 @@
-"""A plate on a few of its own modes: made from a few full solves, good to a few per cent of a change.
+"""A plate on a few of its own modes: made from a few full solves, accurate to a few per cent of a change.
 
-Rayleigh and Ritz in modes of the plate at the parameter sets that matter, in its rigid-body motions and in
-its static answers to the inertia of known masses (residual flexibility: MacNeal, Comput. Struct. 1, 1971).
-For questions that can do without more digits: which further test tells causes apart.
+Rayleigh-Ritz in modes of the plate at the parameter sets that matter, in its rigid-body motions and in its
+static responses to the inertia of known masses (residual flexibility: MacNeal, Comput. Struct. 1, 1971). For
+questions that need no more digits: which further test tells causes apart.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _FURTHER = 16
 _SHIFT = 0.3
 # Eigenvalues below this fraction of the first mode's are those of rigid-body motions.
 _RIGID = 1e-3
-# Amplitudes of directions, of vectors of energy one, that are left out of modes and of rigid-body motions.
+# Amplitudes of directions, of vectors of unit energy, that are left out of modes and of rigid-body motions.
 _RANK, _SAME = 1e-3, 1e-9
 
 
@@ -60,7 +60,7 @@ class ModalPlate:
 def on_modes(full: PlateModel, x: Array, masses: Sequence[Sensor] = ()) -> ModalPlate:
     """A plate on its modes at parameter vectors x (m, n), with known masses that ``full`` does not have.
 
-    Of each parameter set its n_modes + 16 lowest modes are taken.
+    The n_modes + 16 lowest modes of each parameter set are taken.
     """
     operator, problem = full.operator, full.operator.problem
     block = symmetry_parts(operator)
@@ -71,7 +71,7 @@ def on_modes(full: PlateModel, x: Array, masses: Sequence[Sensor] = ()) -> Modal
     first = float(ranked[0, rigid_body_count(problem.edges)])
     places = [(s.x / float(problem.nominal.length), s.y / float(problem.nominal.width)) for s in masses]
     at_places = rows_at(operator.space, block.parts, np.array(places).reshape(-1, 2))
-    # those of the plate itself first, then the five fields of each mass that is added
+    # those of the plate itself first, then the five fields of each added mass
     loads = [
         np.concatenate((own, np.swapaxes(rows, 0, 1).reshape(-1, own.shape[1])))
         for own, rows in zip(block.split(block.rows), at_places, strict=True)
@@ -106,9 +106,9 @@ def on_modes(full: PlateModel, x: Array, masses: Sequence[Sensor] = ()) -> Modal
 
 
 def _with_directions(basis: Array, columns: Array, least: float) -> Array:
-    """An orthonormal basis (n, r) with directions of columns (n, k), those of little amplitude left out."""
+    """An orthonormal basis (n, r) extended by the directions of columns (n, k) above a least amplitude."""
     size = np.linalg.norm(columns, axis=0)
-    # a load on a field that the block does not have is answered by nothing
+    # a load on a field that the block does not have causes no response
     columns = columns[:, size > 0.0] / size[size > 0.0]
     if not columns.shape[1]:
         return basis

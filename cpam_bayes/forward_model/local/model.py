@@ -1,7 +1,7 @@
-"""Frequencies of a plate with a local change anywhere: a small basis that fits each parameter set.
+"""Frequencies of a plate with a local change anywhere, on a small basis for each parameter set.
 
-Per parameter set it is modes of the bare plate and its static responses to loads where the change is, as of
-``mechanics.loaded``. Both stand in one larger basis, common to all places.
+It consists of modes of the bare plate and its static responses to loads where the change is, see
+``mechanics.loaded``. Both are expressed in one larger basis, common to all places.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from cpam_bayes.plate.edges import FIELDS
 
 
 class Change(Protocol):
-    """A local change: a point mass, a softer patch."""
+    """The protocol of a local change: a point mass, a softer patch."""
 
     def batches(self, added: Array) -> list[Array]:
         """Rows of the parameters of the change (m, k) that are solved together."""
@@ -45,15 +45,15 @@ class Change(Protocol):
 class LocalModel:
     """A plate with a local change at any place: parameter vectors in, frequencies out.
 
-    bare : the bare plate on the basis common to all places, orthonormal in a reference energy; parameters
-        are the plate's. Its symmetries are the parts of one block, with its known masses.
+    bare : the bare plate on the basis common to all places, orthonormal in a reference energy, with the
+        plate's parameters. Its symmetries are the parts of one block, with its known masses.
     leading : number of vectors of each part that are the bare plate's own
-    modes : of the bare plate in these, how many of each part a parameter set's basis holds
+    modes : number of modes of the bare plate in these, by part, that a parameter set's basis holds
     parts : fields of the basis
     added : parameters of the change: its size, its place as fractions of length and width, its extent or its
         radius of gyration
-    shift : (rad/s)^2, of the energy K + shift M in which the plate answers loads
-    change : what is there
+    shift : (rad/s)^2, of the energy K + shift M in which the plate responds to loads
+    change : the local change
     """
 
     bare: PlateModel
@@ -71,7 +71,7 @@ class LocalModel:
 
     @property
     def block(self) -> LoadedBlock:
-        """The bare plate's."""
+        """The block of the bare plate."""
         (block,) = self.bare.operator.blocks
         assert isinstance(block, LoadedBlock)
         return block
@@ -112,7 +112,7 @@ class LocalModel:
 
 
 def bare_modes(model: LocalModel, plate: Array) -> PlateModes:
-    """The bare plate without its known masses at parameter vectors (m, n)."""
+    """Modes of the bare plate without its known masses at parameter vectors (m, n)."""
     stiffness, inertia = model.bare.coefficients(plate)
     modes = PlateModes([], [], [], [])
     for block, n, k in zip(model.block.parts, model.leading, model.modes, strict=True):
@@ -129,10 +129,10 @@ def bare_modes(model: LocalModel, plate: Array) -> PlateModes:
 def changed_plate(
     model: LocalModel, bare: PlateModes, plate: Array, loads: Array
 ) -> tuple[RitzBasis, Array, Array]:
-    """The bare plate at parameter vectors (m, n), ready for a change with loads (m, n_loads, n).
+    """Basis, K + shift M and M (m, r, r) of the bare plate, for a change with loads (m, n_loads, n).
 
-    On its modes and its responses to what its known masses and the change do; K + shift M and M with these
-    masses, (m, r, r).
+    The basis is its modes and its responses to the change and to its known masses, which K + shift M and M
+    include.
     """
     block, m = model.block, len(plate)
     known = np.broadcast_to(block.rows, (m, *block.rows.shape))
@@ -146,7 +146,7 @@ def changed_plate(
 
 
 def _whitened(energy: Array, mass: Array, k: int) -> tuple[Array, Array]:
-    """The k lowest modes (m, n, k), with an energy of one, and their masses (m, k)."""
+    """The k lowest modes (m, n, k), of unit energy, and their masses (m, k)."""
     inverse = inverse_roots(energy)
     back = np.swapaxes(inverse, 1, 2)
     mu, v = np.linalg.eigh(inverse @ mass @ back)
@@ -178,7 +178,7 @@ def plate_slopes(model: LocalModel, slopes: tuple[Array, Array], phi: Array, lam
     return np.asarray(k_terms @ d_stiffness - lam[..., None] * (m_terms @ d_mass))
 
 
-# Parameter sets solved at a time: their matrices stay in the processor's cache.
+# Parameter sets solved at a time: their matrices fit in the processor's cache.
 _BATCH = 64
 _AXES: tuple[Derivative, Derivative] = ("x", "y")
 
@@ -187,7 +187,7 @@ _AXES: tuple[Derivative, Derivative] = ("x", "y")
 class PointMass:
     """A mass glued to the surface; parameters are the mass, its place and its radius of gyration.
 
-    loads : fields on which its inertia acts, by their numbers
+    loads : indices of the fields on which its inertia acts
     """
 
     loads: tuple[int, ...]
@@ -231,7 +231,7 @@ class PointMass:
 def rows_in_basis(
     model: LocalModel, points: tuple[PointValues, PointValues], derivative: Derivative, m: int
 ) -> Array:
-    """The five fields of the basis at one point a parameter set, (m, 5, n)."""
+    """The five fields of the basis at one point per parameter set, (m, 5, n)."""
     n_basis = model.block.size
     return np.stack(
         [values_at_points(model.parts, n_basis, Atom(f, derivative), *points, m) for f in FIELDS], axis=1
@@ -239,7 +239,7 @@ def rows_in_basis(
 
 
 def point_inertia(model: LocalModel, plate: Array, mass: Array, gyration: Array) -> Array:
-    """m for u, v, w and m ((h / 2)^2 + r^2) for the rotations, (m, 5)."""
+    """Inertia: m for u, v, w and m ((h / 2)^2 + r^2) for the rotations, (m, 5)."""
     thickness = model.bare.operator.problem.state(model.bare.parameters.mapping(plate)).thickness
     rotary = mass * ((np.asarray(thickness) / 2) ** 2 + gyration**2)
     return np.stack([mass, mass, mass, rotary, rotary], axis=-1)

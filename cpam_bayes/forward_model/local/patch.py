@@ -32,13 +32,13 @@ SOFTENED = np.flatnonzero(LAMINATE_ENTRIES.min(axis=0) >= BENT[0])
 _LEFT = np.array([ATOMS.index(LAMINATE_FORMS[q].left) for q in SOFTENED])
 _RIGHT = np.array([ATOMS.index(LAMINATE_FORMS[q].right) for q in SOFTENED])
 
-# Parameter sets solved at a time: their matrices stay in the processor's cache.
+# Parameter sets solved at a time: their matrices fit in the processor's cache.
 _BATCH = 32
-# Modes over those predicted whose stresses load the patch.
+# Modes beyond those predicted whose stresses load the patch.
 FURTHER = 1
-# Depth from which no more may be lost than there is: less leaves every direction some stiffness.
+# Depth from which the lost energy is bounded by the plate's: below it every direction keeps some stiffness.
 _DEEP = 0.5
-# Points of the quadrature in each direction up to an extent.
+# Quadrature points in each direction, up to each extent.
 _POINTS: dict[PatchForm, tuple[tuple[float, int], ...]] = {
     "bell": ((0.06, 10), (0.12, 12), (0.2, 16), (np.inf, 20)),
     "rectangle": ((0.06, 6), (0.12, 8), (0.2, 11), (np.inf, 16)),
@@ -48,7 +48,7 @@ _TRAINING_POINTS = 16
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """Bending and transverse shear stiffness less by the fraction d g(x, y); parameters d, place and extent.
+    """Bending and transverse shear stiffness reduced by a fraction d g(x, y); parameters d, place and extent.
 
     form : of g, "bell" or "rectangle"
     radius : of an extent of one, in fractions of length and width
@@ -58,7 +58,7 @@ class Patch:
     radius: tuple[float, float]
 
     def batches(self, added: Array) -> list[Array]:
-        """Rows of the parameters of the change (m, 4) that are solved together: alike in extent."""
+        """Rows of the parameters of the change (m, 4) that are solved together, of similar extent."""
         order = np.argsort(added[:, 3], kind="stable")
         return [order[i : i + _BATCH] for i in range(0, len(order), _BATCH)]
 
@@ -108,7 +108,7 @@ class Patch:
     ) -> tuple[Array, Array]:
         """Derivatives of the energies that vectors (m, n_modes, n) lose in the patch.
 
-        Over the plate's parameters, at a depth of one, and over those of the change.
+        By the plate's parameters, at a depth of one, and by those of the change.
 
         slopes : of the coefficients of the stiffness, (m, n_terms, n_plate)
         roots : (m, 5, n_atoms): its square times derivatives is an energy density
@@ -144,9 +144,9 @@ def lost_energy(patch: Patch, model: LocalModel, plate: Array, added: Array, ene
 
 
 def _bounded(energy: Array, lost: Array) -> Array:
-    """Energies (m, r, r) of a patch, none of which exceeds that of the plate.
+    """Energies (m, r, r) of a patch, bounded by that of the plate.
 
-    A response beside the modes may vary so fast that the quadrature of the patch finds more than there is.
+    A response may vary so fast that the quadrature over the patch exceeds the energy that there is.
     """
     root = np.linalg.cholesky(energy)
     back = np.linalg.inv(root)
@@ -157,7 +157,7 @@ def _bounded(energy: Array, lost: Array) -> Array:
 
 
 def _moved_weights(patch: Patch, rules: tuple[PatchRule, PatchRule]) -> Array:
-    """Weights of the points of the patch and their derivatives over x, y and the extent, (m, 4, n_points)."""
+    """Weights of the points of the patch and their derivatives by x, y and the extent, (m, 4, n_points)."""
     along, across = rules
     pairs = (
         (along.weight, across.weight),
@@ -193,7 +193,7 @@ def _strains_of_atoms(sizes: dict[str, Array]) -> Array:
 
 
 def _form_slopes(model: LocalModel, slopes: Array, atoms: Array, weight: Array) -> Array:
-    """Derivatives of the energies in the patch over the plate's parameters, (m, n_modes, n_plate)."""
+    """Derivatives of the energies in the patch by the plate's parameters, (m, n_modes, n_plate)."""
     first = 0
     for term in model.bare.operator.problem.terms:
         if term.name == "laminate":
@@ -206,7 +206,7 @@ def _form_slopes(model: LocalModel, slopes: Array, atoms: Array, weight: Array) 
 
 
 def _lowest(model: LocalModel, masses: list[Array]) -> Array:
-    """Columns of the modes that load the patch, (m, k): the lowest ones that deform the plate."""
+    """Columns (m, k) of the modes that load the patch: the lowest deformation modes."""
     first = rigid_body_count(model.bare.operator.problem.edges)
     order = np.argsort(-np.concatenate(masses, axis=1), axis=1)
     return np.asarray(order[:, first : first + model.n_modes + FURTHER])
@@ -215,7 +215,7 @@ def _lowest(model: LocalModel, masses: list[Array]) -> Array:
 def loads_of_modes(
     patch: Patch, plain: PlateModel, parts: Parts, plate: Array, where: Array, modes: list[Array]
 ) -> Array:
-    """Work of the stresses of modes over patches, if all stiffness were lost, (m, k, n).
+    """Work of the stresses of modes over patches on the basis, with all stiffness lost, (m, k, n).
 
     plate : the plate's parameters, (n_plate,)
     where : place and extent, (m, 3)

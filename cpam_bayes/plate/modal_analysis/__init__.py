@@ -1,1 +1,1 @@
-"""Frequency responses and recorded hits to poles."""
+"""Modal analysis: poles from frequency responses and recorded hits."""

@@ -1,7 +1,7 @@
 """Poles of frequency responses, with standard deviations.
 
-Candidates are poles of rational models over many orders, an octave at a time, that stay. Each is fitted by
-least squares in a band of its own, hit by hit; a mode is what recurs in the hits and stands above the rest.
+Candidates are poles of rational models that are stable over many orders, an octave at a time. Each is fitted
+by least squares in a band of its own, hit by hit; a mode recurs in the hits and stands out.
 """
 
 from __future__ import annotations
@@ -22,43 +22,43 @@ from cpam_bayes.plate.modes_of_hits import small_sample_factor
 
 Array = NDArray[Any]
 
-# Half width of the band about a pole: half widths of its peak, and lines at least.
+# Half width of the band about a pole, in half widths of its peak, and in lines at least.
 _WIDTHS, _LINES = 6.0, 14
-# Poles beyond the band by this factor are free as well, and by the second one fixed in place.
+# Poles up to this multiple of the band are free as well, those up to the second one fixed.
 _FREE, _FIXED = 1.3, 5.0
-# Degree of the polynomial of frequency that stands for all modes further away.
+# Degree of the polynomial of frequency that represents all modes further away.
 _RESIDUAL_DEGREE: Final = 2
-# Probability by noise alone of what a pole explains, above which it is no mode.
+# p-value of a pole under noise alone, above which it is no mode.
 _SIGNIFICANT: Final = 1e-6
 # A fit that moves a pole further than this, in half widths of its peak, has found another.
 _FAR: Final = 2.0
 _STEPS: Final = 25
-# A fit ends where steps are below this part of the half widths.
+# A fit ends where steps are below this fraction of the half widths.
 _SMALL: Final = 1e-4
-# Columns of a basis are held by the others where no more than this is left of them.
+# A basis column is linearly dependent on the others where its remainder is no larger than this.
 _DEPENDENT: Final = 1e-12
-# Residuals that go together more than this are no noise about a good fit.
+# Residuals that are correlated more than this are not noise about a good fit.
 _MAX_CORRELATION: Final = 0.9
 _LEAST_FREEDOM: Final = 10
 # Poles this close, in half widths, are one.
 _MERGED: Final = 0.1
-# Peaks that are this many times what they add up to cancel: a degenerate fit.
+# Peaks this many times their sum cancel each other: a degenerate fit.
 _CANCELLING: Final = 10.0
 STANDS_OUT: Final = 0.6
-"""A peak of this part of the responses about it is a mode, one of less may be a fault of the fit."""
+"""Least height of a mode's peak over the rest of the response; a lower one may be an artefact of the fit."""
 _HIGHEST: Final = 1e3
 LEAST_SD: Final = 0.01
-"""Hz, below which no standard deviation is claimed: plates change by more from day to day."""
+"""Least standard deviation that is claimed, Hz: plates change by more from day to day."""
 # A tone that decays by no more than this exponent within a record is steady.
 _STEADY: Final = 3.0
-# The line of a single hit is known to this fraction at best.
+# Least standard deviation of a frequency in a single hit, as a fraction of the line spacing.
 _OF_A_LINE: Final = 1.0 / 30.0
-# Modes of several hits are one up to this difference, as a fraction of the frequency.
+# Poles of different hits are one mode up to this difference, as a fraction of the frequency.
 _DRIFT: Final = 0.025
 
 
 class Taken(Enum):
-    """The kinds of a pole; the values are those of tables and JSON documents."""
+    """The kinds of pole; values as in tables and JSON documents."""
 
     MODE = "mode"
     WEAK = "weak"
@@ -69,16 +69,16 @@ class Taken(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Pole:
-    """One mode.
+    """One pole, of one hit or averaged over hits.
 
     frequency, sd : Hz, undamped natural frequency |s| / 2 pi, the mean over the hits
     damping, damping_sd : ratio -Re s / |s|
-    height : of its peak over what the other modes give there
-    peak : Hz, where the responses are largest within its half width, nan where they only pass through
-    hits : that show it
+    height : of its peak over the rest of the response there
+    peak : Hz, where the responses are largest within its half width, nan where that is at an end
+    hits : number of hits that show it
     scatter : Hz, standard deviation from hit to hit, nan for one
     each : (n_hits,) Hz in each hit, nan where it does not show
-    taken : for a mode, or for what it stands out or recurs too little to be one
+    taken : its kind, a mode or the reason why it is none
     """
 
     frequency: float
@@ -109,7 +109,7 @@ class _Band:
     force_noise: Array
 
     def fitted(self, poles: Array) -> tuple[Array, Array, Array]:
-        """The responses less poles (n_poles,), their best residues, and a basis of all."""
+        """Residuals of the responses from poles (n_poles,), the best residues, and a basis of all columns."""
         x = (self.omega - self.omega.mean()) / np.ptp(self.omega)
         peaks = 1.0 / (1j * self.omega[:, None] - np.concatenate((poles, self.fixed)))
         columns = np.hstack((peaks, np.vander(x, _RESIDUAL_DEGREE + 1)))
@@ -124,10 +124,10 @@ class _Band:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """Least squares in a band.
+    """A least-squares fit in a band.
 
     poles : (n,) free ones
-    variance : (n,) of real and of imaginary parts, by the variance of the residuals
+    variance : (n,) of real and of imaginary parts, from the variance of the residuals
     peaks : (n, n_responses) complex, at each pole's own frequency
     left : (n_lines, n_responses) residuals over their standard deviations
     weight : (n_responses,)
@@ -143,10 +143,10 @@ class _Fit:
 
 
 def _solved(band: _Band, poles: Array) -> _Fit | None:
-    """The best poles from a start (n,), None where there are too few lines or they do not stay poles.
+    """The fit from starting poles (n,), None where there are too few lines.
 
-    Residues and polynomials are eliminated; steps of Gauss and Newton on the projected derivatives
-    A / (i w - s)^2 (Kaufman, BIT 15, 1975) are halved until the residual falls.
+    Residues and polynomials are eliminated; Gauss-Newton steps on the projected derivatives A / (i w - s)^2
+    (Kaufman, BIT 15, 1975) are halved until the residual falls.
     """
     n, m = band.data.shape
     freedom = 2 * (n * m - m * (len(poles) + len(band.fixed) + _RESIDUAL_DEGREE + 1) - len(poles))
@@ -176,8 +176,8 @@ def _solved(band: _Band, poles: Array) -> _Fit | None:
             break
     weight = 1.0 / np.sqrt(np.maximum(m * np.sum(np.abs(left) ** 2, axis=0) / freedom, tiny))
     peaks = residues / -poles.real[:, None]
-    # noise of the force is largest at the peaks, where residuals are fitted away: it is added as known, and
-    # what it leaves in the residuals is taken off
+    # noise of the force is largest at the peaks, where the fit absorbs the residuals: it is added as known,
+    # and its share of the residuals is subtracted
     moved = np.abs(inverse @ (slopes.conj()[:, None, :] * amplitudes.T.conj()).reshape(-1, len(poles)).T) ** 2
     of_force = 0.5 * band.force_noise * weight**2
     share = np.average(of_force.mean(axis=1), weights=1.0 - np.sum(np.abs(q) ** 2, axis=1))
@@ -199,7 +199,7 @@ def _band_about(responses: FrequencyResponses, candidates: Array, target: int) -
 
 
 def _explains(band: _Band, fit: _Fit, at: int) -> bool:
-    """Whether noise alone does not explain what a pole explains, by an F test of independent lines."""
+    """Whether a pole explains more than noise alone would, by an F test of independent lines."""
     without = np.sum(np.abs(band.fitted(np.delete(fit.poles, at))[0] * fit.weight) ** 2)
     rest = float(np.sum(np.abs(fit.left) ** 2))
     added = 2 + 2 * fit.left.shape[1]
@@ -209,7 +209,7 @@ def _explains(band: _Band, fit: _Fit, at: int) -> bool:
 
 
 def _height(band: _Band, fit: _Fit, at: int) -> float:
-    """The peak of a pole over what is there beside it."""
+    """Height of a pole's peak over the rest of the response there."""
     line = int(np.argmin(np.abs(band.omega - fit.poles[at].imag)))
     own = fit.peaks[at] * -fit.poles[at].real / (1j * band.omega[line] - fit.poles[at])
     beside = np.linalg.norm((band.data[line] - own) * fit.weight)
@@ -218,7 +218,7 @@ def _height(band: _Band, fit: _Fit, at: int) -> float:
 
 
 def _peak(responses: FrequencyResponses, pole: complex) -> float:
-    """Where the responses are largest within the half width of a pole, Hz, nan where that is at an end."""
+    """Frequency of the largest response within the half width of a pole, Hz, nan where it is at an end."""
     step = responses.step
     reach = max(int(np.ceil(-pole.real / (2.0 * np.pi) / step)), 2)
     at = int(np.rint((pole.imag / (2.0 * np.pi) - responses.frequencies[0]) / step))
@@ -229,7 +229,7 @@ def _peak(responses: FrequencyResponses, pole: complex) -> float:
 
 
 def _cancels(band: _Band, fit: _Fit, at: int) -> bool:
-    """Whether a peak is many times what all add up to: it and a neighbour describe one thing."""
+    """Whether a peak is many times the sum of all: it and a neighbour describe the same mode."""
     there = np.linalg.norm(band.data * fit.weight, axis=1).max()
     return bool(np.linalg.norm(fit.peaks[at] * fit.weight) > _CANCELLING * there)
 
@@ -239,7 +239,7 @@ def _is_at(found: complex, start: complex) -> bool:
 
 
 def _refined(responses: FrequencyResponses, candidates: Array) -> Array:
-    """Candidates moved to their fits, without those that cancel a neighbour or have become one."""
+    """Candidates moved to their fits, without those that cancel a neighbour or coincide with one."""
     poles: list[complex] = []
     i = 0
     while i < len(candidates):
@@ -257,14 +257,14 @@ def _refined(responses: FrequencyResponses, candidates: Array) -> Array:
 
 
 def fit_poles(responses: FrequencyResponses, candidates: Array) -> tuple[Pole, ...]:
-    """Every candidate (n,) fitted with those near it, without those that explain no more than noise.
+    """Poles fitted to candidates (n,), each with those near it, where they explain more than noise.
 
     H_k(i w) = sum_r A_kr / (i w - s_r) + c_k0 + c_k1 w + c_k2 w^2 in a band of six half widths of the peak,
     at least 14 lines, to either side; the conjugate poles are far off and smooth there. Residues and
-    polynomials are linear and eliminated (Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973); least squares
-    move the poles near the band, further ones stay. The covariance is that of the residuals' variance, each
-    response's own, and wider by their correlation from line to line where there is one and as
-    `small_sample_factor` says. Poles that cancel each other are refused.
+    polynomials are linear and eliminated (Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973); the poles near
+    the band are free, those further away fixed. The covariance is from the residual variance of each
+    response, widened for correlation from line to line and by `small_sample_factor`. Poles that cancel each
+    other are refused.
     """
     candidates = _refined(responses, candidates)
     poles = []
@@ -283,14 +283,14 @@ def fit_poles(responses: FrequencyResponses, candidates: Array) -> tuple[Pole, .
 
 
 def _widening(left: Array) -> float:
-    """By what variances grow where noise goes together from line to line as r^k, (1 + r) / (1 - r)."""
+    """Growth of variances by noise with the correlation r^k over k lines, (1 + r) / (1 - r)."""
     together = np.sum((left[1:] * left[:-1].conj()).real) / max(np.sum(np.abs(left) ** 2), 1e-300)
     r = float(np.clip(together, 0.0, _MAX_CORRELATION))
     return (1.0 + r) / (1.0 - r)
 
 
 def _described(s: complex, variance: float, responses: FrequencyResponses, height: float) -> Pole | None:
-    """Frequency and damping of a pole less the decay that a window adds, None without any damping left."""
+    """The pole without the decay that a window adds, None where no damping is left."""
     s += responses.added_decay
     size = abs(s)
     if not s.real < 0.0:
@@ -302,7 +302,7 @@ def _described(s: complex, variance: float, responses: FrequencyResponses, heigh
 
 
 def with_others(candidates: Array, others: Array) -> Array:
-    """Candidates (n,) and those of ``others`` that no candidate is within the half width of, ascending."""
+    """Candidates (n,) and those ``others`` that have no candidate within their half width, ascending."""
     new = [s for s in others if not np.any(np.abs(candidates - s) < _APART * -s.real)]
     return np.array(sorted((*candidates, *new), key=lambda s: s.imag), dtype=complex)
 
@@ -310,13 +310,13 @@ def with_others(candidates: Array, others: Array) -> Array:
 def modes_of_hits(
     each: Sequence[Sequence[Pole]], step: float, struck_twice: Sequence[bool] = ()
 ) -> tuple[Pole, ...]:
-    """One table of the poles of every hit, ascending, each with what it was taken for.
+    """One table of the poles of all hits, ascending, each with its kind.
 
-    Poles of different hits within 2.5 % are one, the nearest first. The standard deviation is that of the
-    mean over the hits, from their scatter and as `small_sample_factor` says, and not below that of the fits.
-    A mode shows in half the hits, at least in two of several, and its peak is more than 0.6 of what is there
-    beside it. A tone at a multiple of the mains that does not decay is hum. What is no mode and shows in hits
-    alone that the hammer struck twice, where it struck others once, is of the second hit.
+    Poles of different hits within 2.5 % are merged, the nearest first. The standard deviation is that of the
+    mean over the hits, from their scatter enlarged by `small_sample_factor`, and not below that of the fits.
+    A mode shows in half the hits, at least in two of several, and its peak is more than 0.6 of the rest of
+    the response. A tone at a multiple of the mains that does not decay is hum. Other poles that show only in
+    double hits, where there are single hits too, are of the second stroke.
 
     step : between two lines, Hz
     struck_twice : for each hit; empty where none was
@@ -341,12 +341,12 @@ def modes_of_hits(
 
 
 def is_of_mains(frequency: float, step: float) -> bool:
-    """Whether a frequency is a multiple of that of the mains, to a line."""
+    """Whether a frequency is a multiple of the mains frequency, within a line."""
     return any(abs(frequency - mains * np.rint(frequency / mains)) < step for mains in MAINS)
 
 
 def _classed(pole: Pole, needed: int, step: float) -> Pole:
-    """A pole with what it was taken for."""
+    """A pole with its kind."""
     if is_of_mains(pole.frequency, step) and pole.damping * 2.0 * np.pi * pole.frequency < _STEADY * step:
         return replace(pole, taken=Taken.HUM)
     if pole.hits < needed:
@@ -389,18 +389,19 @@ def _mean(group: dict[int, Pole], n_hits: int) -> Pole:
 
 DEFAULT_ORDER: Final = 50
 """Number of poles of the largest model of an octave."""
-# A pole stays where the order below has one this close: a fraction of the frequency, and of the damping.
+# A pole is stable where the order below has one this close, as fractions of frequency and damping.
 _SAME_FREQUENCY, _SAME_DAMPING = 0.005, 0.3
-# Poles of all orders are one where they are closer than this many half widths of their peaks.
+# Poles of all orders are merged where they are closer than this many half widths of their peaks.
 _APART: Final = 1.0
-# Fraction of the orders above the one that first shows a pole in which it has to stay.
+# Least fraction, and number, of the orders from the first that shows a pole in which it is stable.
 _LEAST_STABLE, _LEAST_ORDERS = 0.3, 5
 _MAX_DAMPING: Final = 0.1
-# A model is of an octave and this much beyond it, over this part of the unit circle; lines a pole at least.
+# A model covers an octave extended by this factor, on this part of the unit circle; least lines per pole.
 _BEYOND, _OF_CIRCLE, _LINES_A_POLE = 1.12, 0.8, 3
-# Lines are weighed by one over the median of their neighbourhood: a fraction of the frequency, and lines.
+# Lines are weighted by one over the local median, over this fraction of the frequency and at least these
+# lines; sizes are at least this fraction of the largest.
 _ABOUT, _ABOUT_LINES, _LEAST_SIZE = 0.02, 5, 1e-4
-# Responses below this are none: one over their square would leave the range of numbers.
+# Responses below this are ignored: one over their square would overflow.
 _NOTHING: Final = 1e-70
 
 
@@ -408,11 +409,11 @@ _NOTHING: Final = 1e-70
 class Stabilisation:
     """Poles by model order.
 
-    orders : (n,) number of poles of the model that each pole is of
+    orders : (n,) number of poles of each pole's model
     frequencies : (n,) Hz
     damping : (n,) ratios
     stable : (n,) whether the order below has the pole too
-    candidates : (n_modes,) complex eigenvalues s of poles that stay over many orders, rad/s, ascending
+    candidates : (n_modes,) complex eigenvalues s of poles stable over many orders, rad/s, ascending
     """
 
     orders: Array
@@ -426,11 +427,10 @@ def stabilise(responses: FrequencyResponses, low: float, high: float, order: int
     """Poles of least-squares complex frequency-domain models of 2 to ``order`` poles, an octave at a time.
 
     Guillaume, Verboven and Vanlanduit, ISMA 23, 1998, with complex coefficients: lines of an octave are
-    angles on the unit circle, and conjugate poles lie outside. Lines are weighed by one over the median size
-    about them, so that weak modes count as strong ones do; models of evenly weighed lines, which noise biases
-    less, add their candidates. A pole is stable where the order below has one
-    within 0.5 % of its frequency and 30 % of its damping. Stable poles of all orders that are closer than the
-    half width of their peaks are one.
+    angles on the unit circle, and conjugate poles lie outside. Lines are weighted by one over the local
+    median size, so that weak modes count as much as strong ones; models with equal weights, which noise
+    biases less, add their candidates. A pole is stable where the order below has one within 0.5 % of its
+    frequency and 30 % of its damping. Stable poles closer than the half width of their peaks are merged.
 
     low, high : Hz, the range
     """
@@ -457,7 +457,7 @@ def _of_octave(
 
 
 def _stable(found: list[tuple[int, Array]]) -> tuple[Array, Array, Array]:
-    """Orders and poles, (n,) each, and whether the order below has the pole too."""
+    """Orders, poles, and whether the order below has the pole too, (n,) each."""
     orders, s = np.concatenate([np.full(len(p), n) for n, p in found]), np.concatenate([p for _, p in found])
     stable = np.zeros(len(s), dtype=bool)
     for n, _ in found[1:]:
@@ -472,7 +472,7 @@ def _stable(found: list[tuple[int, Array]]) -> tuple[Array, Array, Array]:
 def _poles(
     responses: FrequencyResponses, low: float, high: float, order: int, evenly: bool
 ) -> list[tuple[int, Array]]:
-    """Order and its decaying poles s from ``low`` to ``high``, (n,) rad/s; evenly : weights of lines."""
+    """Each order with its decaying poles s from ``low`` to ``high``, (n,) rad/s; evenly : local weights."""
     f = responses.frequencies
     lines = np.flatnonzero((f >= low / _BEYOND) & (f <= high * _BEYOND))
     order = max(min(order, len(lines) // _LINES_A_POLE), 2)
@@ -505,15 +505,15 @@ def _poles(
 
 
 def _candidates(s: Array, orders: Array, order: int) -> Array:
-    """Median poles of groups that stay over many orders, ascending.
+    """Median poles of groups that are stable over many orders, ascending.
 
-    order : of the largest model, which an octave of few lines has below the one that was asked for
+    order : of the largest model, lower than requested in an octave of few lines
     """
     order_of = np.argsort(s.imag, kind="stable")
     left = [int(i) for i in order_of]
     poles = []
     while left:
-        # the pole with most others about it, each order once, is the middle of a group
+        # the pole with most others near it, counting each order once, is the middle of a group
         about = [_about(s, left, i) for i in left]
         counts = [len(set(orders[near].tolist())) for near in about]
         best = int(np.argmax(counts))

@@ -1,7 +1,7 @@
-"""Recorded hits to frequency responses.
+"""Frequency responses of recorded hits.
 
-Each hit is cut out of its record, without force after the last stroke of a double one. What cannot be the
-record of a hit, such as a clipped channel, is refused; what makes responses doubtful is a remark.
+Each hit is cut out of its record; without a force, a double hit begins at its last stroke. Records that
+cannot be of a hit, such as a clipped channel, are refused; doubts about responses are notices.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class ModalTestError(ValueError):
 
 
 class ClippedError(ModalTestError):
-    """A record that holds its largest value."""
+    """A clipped record."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,9 +38,9 @@ class FrequencyResponses:
     added_decay : rad/s that a window adds to the decay of every mode
     origin : the format and what was read, in words
     notices : what makes them doubtful
-    hit : (n_responses,) the number of the hit of each, from 0; empty where all are of one
+    hit : (n_responses,) number of the hit of each, from 0; empty where all are of one
     struck_twice : (n_hits,) of recorded hits, whether the hammer touched the plate twice
-    force_noise : (n_responses, n) variance of frf by the noise of the force over |frf|^2; None for none
+    force_noise : (n_responses, n) variance of frf due to noise of the force, over |frf|^2; None for none
     """
 
     frequencies: Array
@@ -60,12 +60,12 @@ class FrequencyResponses:
 
     @property
     def step(self) -> float:
-        """Between two lines, Hz."""
+        """Frequency step between lines, Hz."""
         return float(self.frequencies[1] - self.frequencies[0])
 
     @property
     def each_hit(self) -> tuple[FrequencyResponses, ...]:
-        """Those of each hit."""
+        """The responses of each hit."""
         numbers = np.array(self.hit)
         if len(set(self.hit)) < 2:
             return (self,)
@@ -81,31 +81,32 @@ class FrequencyResponses:
         )
 
 
-# A clipped channel holds its largest value for so many samples: once at full scale, else at several places.
+# A clipped channel holds its largest value for this many samples: once at full scale, else at these places.
 _HELD, _PLACES = 3, 3
-# A force that passes this fraction of its peak later than so many s, for so many s in all, is no hit's.
+# A force above this fraction of its peak later than this, s, and for this long in all, s, is not a hit's.
 _RINGS, _AFTER, _FOR = 0.2, 0.02, 0.01
 _BLOCK: Final = 0.002
-# A force has its power in so many times fewer samples than the responses.
+# The power of a force is in this many times fewer samples than that of the responses.
 _SHORTER: Final = 5.0
-# A further stroke is this many times the loudest of so many blocks before it, and this part of the first.
+# A further stroke is this many times the loudest of this many blocks before it, and this fraction of the
+# loudest of all; samples of a block, at least.
 _JUMP, _BLOCKS_APART, _OF_STROKE, _LEAST_BLOCK = 3.0, 5, 0.1, 8
-# Samples that one is predicted from, and the least part of noise in a signal.
+# Order of the linear prediction, and the least fraction of noise in a signal.
 _PREDICTED_FROM, _ROUNDING = 40, 1e-9
 MAINS: Final = (50.0, 60.0)
 """Frequencies of the mains, Hz."""
-# The end of a record, as a fraction, and the least part of its power, and of the
-# largest value, that a steady tone has there.
+# The tail of a record, as a fraction, and the least fraction of its power, and of the largest value, that a
+# steady tone has there.
 _TAIL, _OF_POWER, _OF_PEAK = 0.25, 0.5, 0.03
 _LEAST_TAIL: Final = 0.2
 _MULTIPLES: Final = np.arange(1.0, 6.0)
-# The mains are within this of their frequency, Hz, in so many steps; the last s of a tail tell how steady a
-# tone is; hum was there before a hit, with this part of its power, where so many s of that are recorded.
+# Tolerance of the mains frequency, Hz, and steps within it; end of a tail that shows whether a tone is
+# steady, s; fraction of its power that hum has before a hit, where this much of that is recorded, s.
 _OF_MAINS, _STEPS, _TOLD_BY, _STOOD, _SOONER = 0.2, 9, 1.0, 0.25, 0.01
-# Lines of modes stand above the noise, the median, and above this part of the largest one, in power.
+# Lines of modes are above this multiple of the noise, the median, and this fraction of the largest, in power.
 _ABOVE_NOISE, _ABOVE_LEAST = 100.0, 1e-5
-# A peak is the largest line within this fraction of its frequency and so many lines, above the median of a
-# neighbourhood four times as wide, and above this part of the largest one.
+# A peak is the largest line within this fraction of its frequency, or this many lines, above this multiple of
+# the median of a neighbourhood four times as wide, and above this fraction of the largest one.
 _ALONE, _ALONE_LINES, _ABOVE_MEDIAN, _OF_LARGEST = 0.02, 5, 5.0, 0.03
 
 
@@ -157,9 +158,9 @@ def _rings(force: Array, rate: float, before: float) -> bool:
 
 
 def hum_notices(rate: float, channels: Array) -> tuple[Notice, ...]:
-    """A steady tone of the mains or a multiple at the end of a record (channels, n), where modes are gone.
+    """Notice of mains hum, a steady tone in the tail of a record (channels, n), where modes have decayed.
 
-    A mode beside such a multiple that still rings there, as after a late second stroke, decays, has a
+    A mode near a multiple of the mains that still rings there, as after a late second stroke, decays, has a
     frequency of its own and was silent before the hit.
     """
     tail = channels[:, int((1.0 - _TAIL) * channels.shape[1]) :]
@@ -191,17 +192,17 @@ def hum_notices(rate: float, channels: Array) -> tuple[Notice, ...]:
 
 
 def _is_steady(tail: Array, rate: float, mains: float, part: float) -> bool:
-    """Whether tones of the first half of a tail (n,) go on in its second half.
+    """Whether tones of the first half of a tail (n,) continue in its second half.
 
-    They are at multiples of the frequency of the mains that fits the tail best; part : of the power of the
-    tail near these multiples, of which they must foretell half
+    They are at multiples of the mains frequency that fits the tail best; part : fraction of the power of the
+    tail near these multiples, half of which they must predict
     """
     end = tail[-int(_TOLD_BY * rate) :]
     multiples = _MULTIPLES[_MULTIPLES * (mains + _OF_MAINS) < 0.5 * rate]
     t, half = np.arange(len(end)) / rate, len(end) // 2
 
     def left(base: float, known: int) -> Array:
-        """What tones that are fitted to the first samples leave of all."""
+        """Residuals of all samples from tones fitted to the first ``known``."""
         angles = 2.0 * np.pi * base * multiples * t[:, None]
         tones = np.hstack((np.cos(angles), np.sin(angles)))
         return np.asarray(end - tones @ np.linalg.lstsq(tones[:known], end[:known], rcond=None)[0])
@@ -213,21 +214,21 @@ def _is_steady(tail: Array, rate: float, mains: float, part: float) -> bool:
 
 
 def _was_there(size: Array, rate: float, power: float) -> bool:
-    """Whether |samples| (n,) have a part of a tone's power before their hit; True where none is recorded."""
+    """Whether |samples| (n,) before the hit have a fraction of a tone's power; True where there are none."""
     onset = int(np.argmax(size > _ONSET * size.max()))
     before = size[: max(onset - int(_BEFORE * rate), 0)]
     return len(before) < _SOONER * rate or bool(np.mean(before**2) > _STOOD * power)
 
 
 def relative_power(frf: Array) -> Array:
-    """Mean power of the lines over the responses (m, n), each over the mean of its own, (n,)."""
+    """Power of the lines, relative to the mean of each response, averaged over the responses (m, n), (n,)."""
     power = np.abs(frf) ** 2
     mean = np.maximum(np.mean(power, axis=1, keepdims=True), np.finfo(float).tiny)
     return np.asarray(np.mean(power / mean, axis=0))
 
 
 def last_line_of_modes(power: Array) -> int:
-    """The last line that stands above the noise; all, where none does; power : (n,)."""
+    """Index of the last line above the noise, of the last of all where none is; power : (n,)."""
     above = power > max(_ABOVE_NOISE * float(np.median(power)), _ABOVE_LEAST * float(power.max()))
     return int(np.flatnonzero(above)[-1]) if above.any() else len(power) - 1
 
@@ -248,27 +249,29 @@ def peaks_of(frequencies: Array, size: Array) -> Array:
 Window = Literal["none", "exponential"]
 
 WINDOWS: Final[tuple[Window, ...]] = ("none", "exponential")
-"""Windows of a record: none, or a decay to 1 % at its end, which is taken off again."""
+"""Windows of a record: none, or a decay to 1 % at its end, which is subtracted from the damping."""
 _END: Final = 0.01
-# A hit begins where the signal passes this fraction of its largest value, for the first time in so many s.
+# The signal passes this fraction of its largest value, for the first time in this many s; the hit begins
+# this many s before.
 _ONSET, _APART, _BEFORE = 0.3, 0.25, 0.002
-# What is shorter than this part of the others, or of its hit, is no hit or decay of its own.
+# Hits shorter than this fraction of the usual length are left out.
 _LONG_ENOUGH: Final = 0.5
 # The range of a test ends where the spectrum of the force has fallen to this fraction of its largest value.
 _FORCE_LEFT: Final = 0.1
-# Spectra of decays end this much above their last line that stands above noise.
+# Spectra of decays end at this multiple of their last line above the noise.
 _OUTSIDE: Final = 1.25
 _LEAST_LINES: Final = 50
-# A range that is found from the responses has these lines at least: twice the poles of the default order.
+# Least lines of a range that is found from the responses: above twice the poles of the default order.
 _LEAST_FOUND: Final = 150
 _MOST_HITS: Final = 1000
-# Standard deviation of Gaussian noise over the median of its sizes.
+# Standard deviation of Gaussian noise over the median of its absolute values.
 _SD_OF_MEDIAN: Final = 1.4826
-# A force lasts while it is above this part of its largest value.
+# A force lasts while it is above this fraction of its largest value.
 _OF_PULSE: Final = 0.1
-# Lines beside 0 Hz are drift; noise lasts longer than the pulse of a force, which has as even a spectrum, s.
+# This many lines from 0 Hz are drift; noise lasts longer than this, s, unlike the pulse of a force, whose
+# spectrum is as flat.
 _DRIFT_LINES, _LASTING = 5, 0.05
-# A tone beyond the range that has this share of a response's power is no plate's: these have many modes.
+# A tone beyond the range with this share of a response's power is not of a plate, which has many modes.
 _RINGING: Final = 0.8
 
 
@@ -279,7 +282,7 @@ class Recording:
     rate : samples a second
     force : (n,) or None where it was not recorded
     responses : (n_responses, n)
-    numbers : of the channels of the file, from 1, that of the force first
+    numbers : of the channels in the file, from 1, the force first
     name : of the file
     """
 
@@ -293,8 +296,8 @@ class Recording:
 class _Hit(NamedTuple):
     """A hit: channels (1 + n_responses, n), or (n_responses, n) without force; whether double.
 
-    start : in its file, s. usual : length of the hits in which half the time is from one clear onset to the
-    next, samples
+    start : in its file, s. usual : median length of the hits from one clear onset to the next, weighted by
+    length, samples
     """
 
     channels: Array
@@ -307,14 +310,14 @@ class _Hit(NamedTuple):
 def responses_of_hits(
     recordings: Sequence[Recording], window: Window, high: float | None
 ) -> FrequencyResponses:
-    """Responses over force of every hit, H = conj(F) X / |F|^2; without it, spectra of decays.
+    """Responses over force of every hit, H = conj(F) X / |F|^2; without force, spectra of decays.
 
-    Each hit begins where its force, or its largest response, rises. All hits have the length of the shortest,
-    once those of less than half the usual length are left out.
+    Each hit begins where its force, or its largest response, rises. All hits are cut to the length of the
+    shortest, after those of less than half the usual length are left out.
     Spectra end at ``high``, Hz, or where the force has fallen to a tenth, or a quarter above the last line of
     a decay that stands above its noise.
 
-    Raises ``ModalTestError`` where there is no hit, hits are too short, or the force is no hit's.
+    Raises ``ModalTestError`` where there is no hit, hits are too short, or the force is not of a hit.
     """
     cut = [hit for one in recordings for hit in _hits(one)]
     if not cut:
@@ -371,16 +374,16 @@ def responses_of_hits(
 
 
 def _force_noise(hits: Sequence[Array], force: Array, n: int) -> Array:
-    """The relative variance of each hit's force by its noise, (n_hits, n_lines); force : its spectra.
+    """Relative variance of each hit's force due to noise, (n_hits, n_lines); force : its spectra.
 
-    The median of a force is that of its noise, as the hammer touches the plate for a short time.
+    The median of a force is that of its noise, as the hammer touches the plate only briefly.
     """
     sd = _SD_OF_MEDIAN * np.array([np.median(np.abs(hit[0, :n])) for hit in hits])
     return np.asarray(n * sd[:, None] ** 2 / np.maximum(np.abs(force) ** 2, np.finfo(float).tiny))
 
 
 def _channels(recording: Recording, hit: Array) -> str:
-    """What each channel of a file is, in words."""
+    """Description of the channels of a file."""
     n = len(recording.responses)
     said = "1 response" if n == 1 else f"{n} responses"
     if recording.force is None:
@@ -392,9 +395,9 @@ def _channels(recording: Recording, hit: Array) -> str:
 
 
 def without_silent(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[Notice, ...]]:
-    """Recordings of the same channels without the responses of which no line stands above the noise.
+    """Recordings of the same channels without the responses that have no line above the noise.
 
-    All responses stay where none of them has such a line.
+    All responses are kept where none of them has such a line.
     """
     silent = np.all([_are_silent(one.responses, one.rate) for one in recordings], axis=0)
     if not silent.any():
@@ -410,7 +413,7 @@ def without_silent(recordings: Sequence[Recording]) -> tuple[list[Recording], tu
 
 
 def _ringing(recording: Recording, hits: Sequence[Array], end: float) -> tuple[Notice, ...]:
-    """A response of which one narrow tone beyond the range has nearly all power: a sensor that rings.
+    """Notice of a ringing sensor: a response with nearly all power in one narrow tone beyond the range.
 
     hits : of all recordings; end : of the range, Hz
     """
@@ -432,7 +435,7 @@ def _hums(recordings: Sequence[Recording]) -> tuple[Notice, ...]:
 
 
 def _too_short(cut: Sequence[_Hit], rate: float, least: float) -> tuple[Notice, ...]:
-    """What was left out, of fewer samples than ``least``: file, start and length, s."""
+    """Notice of the hits left out, of fewer samples than ``least``: file, start and length, s."""
     short = [
         (hit.file, hit.start, hit.channels.shape[1] / rate) for hit in cut if hit.channels.shape[1] < least
     ]
@@ -440,10 +443,10 @@ def _too_short(cut: Sequence[_Hit], rate: float, least: float) -> tuple[Notice, 
 
 
 def _hits(recording: Recording) -> list[_Hit]:
-    """The channels from each hit to the next; without force a double one from its last stroke on.
+    """The channels from each hit to the next; without force, those of a double hit from its last stroke on.
 
-    What rings between two strokes is a free decay whatever rang before, so that strokes without a force are
-    hits of their own, unless the second follows soon and has the longer decay.
+    Between two strokes the plate decays freely, whatever rang before, so that without a force each stroke is
+    a hit of its own, unless the second follows soon and has the longer decay.
     """
     force, responses = recording.force, recording.responses
     channels = responses if force is None else np.vstack((force, responses))
@@ -483,8 +486,8 @@ def _hits(recording: Recording) -> list[_Hit]:
 def _further_strokes(hit: Array, rate: float) -> list[int]:
     """The samples of further strokes within a hit (channels, n), ascending.
 
-    A free decay follows from its samples before, a stroke does not: a block of 2 ms in which the errors of
-    linear prediction are far above those of the 10 ms before it.
+    A free decay can be predicted from earlier samples, a stroke cannot: it is a block of 2 ms in which the
+    errors of linear prediction are far above those of the 10 ms before it.
     """
     size = max(int(_BLOCK * rate), _LEAST_BLOCK)
     errors = np.abs([_prediction_errors(channel) for channel in hit]).max(axis=0)
@@ -499,7 +502,7 @@ def _further_strokes(hit: Array, rate: float) -> list[int]:
 
 
 def _prediction_errors(signal: Array) -> Array:
-    """What the best linear prediction from the samples before leaves of a signal, (n,) each."""
+    """Errors of the best linear prediction of a signal from its earlier samples, (n,) each."""
     n, order = len(signal), min(_PREDICTED_FROM, len(signal) // 4)
     power = np.abs(np.fft.rfft(signal, 2 * n)) ** 2
     correlation = np.fft.irfft(power)[: order + 1]
@@ -511,7 +514,7 @@ def _prediction_errors(signal: Array) -> Array:
 
 
 def told_channels(channels: Array, rate: float, force: int | None) -> tuple[int | None, tuple[int, ...]]:
-    """The channels of the force and of the responses: one channel that lasts a pulse is the force."""
+    """Channels of the force and of the responses; by default a single channel with a pulse is the force."""
     if force is None and len(channels) > 1:
         lasts = np.where(_are_silent(channels, rate), np.inf, _lasting(channels))
         shortest, second = np.argsort(lasts)[:2]
@@ -521,13 +524,13 @@ def told_channels(channels: Array, rate: float, force: int | None) -> tuple[int 
 
 
 def _lasting(channels: Array) -> Array:
-    """The samples in which channels have their power, (n_channels,), 0 for a constant."""
+    """Effective number of samples that hold a channel's power, (n_channels,), 0 for a constant."""
     power = (channels - np.median(channels, axis=1, keepdims=True).astype(float)) ** 2
     return np.asarray(np.sum(power, axis=1) ** 2 / np.maximum(np.sum(power**2, axis=1), np.finfo(float).tiny))
 
 
 def _are_silent(channels: Array, rate: float) -> Array:
-    """Whether channels are constant, or last and have no line above their noise, (n_channels,) bool."""
+    """True for channels that are constant, or are not pulses and have no line above noise, (n_channels,)."""
     lasts = _lasting(channels)
     power = np.abs(np.fft.rfft(channels, axis=1)[:, _DRIFT_LINES:]) ** 2
     stands = np.any(power > _ABOVE_NOISE * np.median(power, axis=1, keepdims=True), axis=1)

@@ -1,6 +1,6 @@
-"""Peaks of a modal test: the poles within a range, and each as a candidate that a plate model weighs.
+"""Peaks of a modal test: the poles within a range, as candidates for the modes of a plate model.
 
-A candidate has the probability of being a mode that its height gives. `[measurement]` of a plate file names
+The height of a candidate gives its probability of being a mode. `[measurement]` of a plate file names
 recordings, or a table of peaks that other software found.
 """
 
@@ -39,17 +39,17 @@ Array = NDArray[Any]
 
 LEAST_ORDER: Final = 10
 MOST_ORDER: Final = 200
-"""Orders that can be asked for, from the least to the most."""
-# Responses times lines: as many take some seconds and less than 1 GiB.
+"""The largest order that can be requested; the smallest is ``LEAST_ORDER``."""
+# Most responses times lines: they take some seconds and less than 1 GiB.
 _MOST_VALUES: Final = 2_000_000
-# Where the range begins, unless given: lines, and a fraction of its end or a frequency, the lower one.
+# The range begins, unless given, at this line or the lower of a fraction of its end and a frequency.
 _FIRST_LINE, _FIRST_FRACTION, _FIRST_HZ = 10, 0.02, 20.0
-# Modes that scatter by more than this part from hit to hit drift.
+# Modes that scatter by more than this fraction from hit to hit drift.
 _DRIFTING: Final = 0.005
-# A hit is unlike the others where it is shifted by more than so many times what is usual, and this part; it
-# may be of another plate where it has at most this part of the modes.
+# Of at least this many hits, one is unlike the others where its shift is above this multiple of the usual one
+# and this fraction; it may be of another plate where it has at most this fraction of the modes.
 _LEAST_HITS, _UNLIKE, _LEAST_SHIFT, _FEW = 3, 8.0, 0.002, 0.6
-# No height makes a peak a mode, or none, for certain.
+# No height makes it certain that a peak is a mode, or that it is none.
 _LEAST_PROBABILITY: Final = 0.02
 
 
@@ -57,9 +57,9 @@ _LEAST_PROBABILITY: Final = 0.02
 class ModalTest:
     """The poles of a test within a range.
 
-    responses : that were read
+    responses : as read
     stabilisation : poles by model order
-    poles : ascending, each with what it was taken for
+    poles : ascending, each with its kind
     low, high : Hz, the range
     order : number of poles of the largest model
     """
@@ -83,12 +83,12 @@ class ModalTest:
 
     @property
     def notices(self) -> tuple[Notice, ...]:
-        """What is to be said of the files and of the hits."""
+        """Notices about the files and the hits."""
         return (*self.responses.notices, *hit_notices(self.modes))
 
 
 def hit_notices(modes: Sequence[Pole]) -> Iterator[Notice]:
-    """Modes that drift from hit to hit, hits that have few of the modes, and hits that are shifted."""
+    """Notices of modes that drift from hit to hit, hits with few of the modes, and shifted hits."""
     drifting = tuple(one.frequency for one in modes if one.scatter > _DRIFTING * one.frequency)
     if drifting:
         yield Notice("drifting_modes", facts={"frequencies": drifting, "limit": _DRIFTING})
@@ -123,7 +123,7 @@ def modal_test(
     order: int = DEFAULT_ORDER,
     announce: Callable[[str], None] = lambda text: None,
 ) -> ModalTest:
-    """The poles of files of one test; arguments as of `poles`, low and high in Hz.
+    """The poles of the files of one test; arguments as for `poles`, low and high in Hz.
 
     Raises ``ModalTestError`` for files that cannot be read, and for arguments out of range.
     """
@@ -163,12 +163,12 @@ def modal_test(
 
 
 def mode_probability(height: Array, recurring: Array) -> Array:
-    """Probability that peaks are modes before a plate model is asked, (n,).
+    """Prior probability that peaks are modes, before a plate model is compared, (n,).
 
-    Its odds are the height over that from which a peak stands out, times the fraction of the hits that show
-    it, between 0.02 and 0.98.
+    The odds are the height over `STANDS_OUT` times the fraction of the hits that show the peak; the
+    probability is clipped to between 0.02 and 0.98.
 
-    height : (n,) of a peak over what is there beside it
+    height : (n,) of a peak over the rest of the response
     recurring : (n,) fraction of the hits that show it
     """
     odds = np.asarray(height) / STANDS_OUT * np.asarray(recurring)
@@ -176,22 +176,21 @@ def mode_probability(height: Array, recurring: Array) -> Array:
 
 
 def false_peaks(probability: Array) -> Array:
-    """Expected numbers of false peaks as each of n is, (n,), for the price of a false one in a pairing.
+    """Expected number of false peaks like each of n, (n,), for the price of a false one in a pairing.
 
-    As many modes as probabilities add up to are in the range, and at their density a peak that matches no
-    more than any is a mode with its probability q: (sum q) (1 - q) / q.
+    The range holds sum q modes; at this density, a peak that matches no better than any other is a mode with
+    its own probability q: (sum q) (1 - q) / q.
     """
     return np.asarray(probability.sum() * (1.0 - probability) / probability)
 
 
 def candidates_of(data: Data, directory: Path | None) -> tuple[dict[str, Any], list[Problem]]:
-    """Fields of a `Measurement` from the recordings or the peaks that a plate file names, and what is wrong.
+    """Fields of a `Measurement` from the recordings or peaks that a plate file names, and their problems.
 
-    Hum is no candidate. Where the file states `relative_std`, the standard deviation of a candidate is that
-    of the test and of the repeatability together; where it does not, the scatter about the plate model is
-    inferred.
+    Hum is no candidate. Where the file states `relative_std`, the standard deviation of a candidate combines
+    those of the test and the repeatability; otherwise the scatter about the plate model is inferred.
 
-    directory : where relative paths begin
+    directory : base of relative paths
     """
     measurement = table(data, "measurement")
     if "recordings" in measurement:
@@ -233,7 +232,7 @@ def _of_recordings(measurement: Data, directory: Path | None) -> tuple[dict[str,
 def _unchanged(
     files: tuple[str, ...], low: float | None, high: float | None, stamps: tuple[tuple[str, int, int], ...]
 ) -> ModalTest:
-    """The test of files, which is read once while they stay as they are: path, time and size of each."""
+    """The test of files, read once while they are unchanged; stamps : path, time and size of each."""
     del stamps
     return modal_test(files, low=low, high=high)
 
@@ -250,7 +249,7 @@ class _Candidates:
     def fields(
         self, measurement: Data, origin: str, key: tuple[str, ...]
     ) -> tuple[dict[str, Any], list[Problem]]:
-        """Those of a `Measurement`; a range that has more than a plate file may list is refused."""
+        """Fields of a `Measurement`; more peaks than a plate file may list are refused."""
         n = len(self.frequency)
         if n > MAX_FREQUENCIES:
             what = f"{n} peaks, accepted: up to {MAX_FREQUENCIES}"
@@ -271,7 +270,7 @@ class _Candidates:
 
 
 def _of_peaks(rows: Sequence[Hit], unit: str) -> Iterator[TableProblem]:
-    """What peaks lack, peaks that stand in two rows, and heights that are levels; unit : of the heights."""
+    """Missing values, peaks in two rows, and heights in an unknown unit; unit : of the heights."""
     if not any(row.hz for row in rows):
         yield TableProblem(0, "", "no peak, accepted: hz and height in each row; sd if known")
     if unit not in ("", "-", "1"):

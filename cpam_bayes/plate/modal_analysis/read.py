@@ -46,7 +46,7 @@ _ACCEPTED: Final = (
     "frequency responses (a universal file with datasets 58, .unv or .uff; a table, .csv or .txt) or "
     "recorded hits (.wav)"
 )
-# Of a dataset 58: the type of a frequency response function.
+# Type of a frequency response function in a dataset 58.
 _FRF: Final = 4
 _HEADS: Final = {
     "f": ("khz", "hertz", *COLUMNS["hz"]),
@@ -61,10 +61,10 @@ _HEADS: Final = {
 _KIND_OF: Final = {head: kind for kind, heads in _HEADS.items() for head in heads}
 _HEAD = re.compile(rf"({'|'.join(map(re.escape, sorted(_KIND_OF, key=len, reverse=True)))})(?!\w)")
 _DEGREES, _RADIANS = re.compile("deg|grad|[°º]"), re.compile("(?<!g)rad")
-# Levels in dB differ by less than this factor, sizes beside modes by more.
+# Levels in dB differ by less than this factor, magnitudes of responses by more.
 _LEVELS: Final = 20.0
 _EVEN: Final = 1e-3
-# The largest value of a response or a record: what is beyond leaves the range of squares and their sums.
+# Limits of the largest value of a response or record: beyond them sums of squares under- or overflow.
 _LEAST_SIZE, _MOST_SIZE = 1e-60, 1e60
 _LEAST_HZ, _MOST_HZ = 1e-3, 1e9
 
@@ -77,10 +77,10 @@ def read_responses(
     window: Window | None,
     high: float | None,
 ) -> FrequencyResponses:
-    """The frequency responses of files of one format; a folder is all recordings in it.
+    """The frequency responses of files of one format; a folder stands for all recordings in it.
 
     force, response : channels of a .wav file, from 1; without them a channel that is a pulse is the force
-    window : what records are multiplied by, nothing unless given
+    window : applied to records, none unless given
     high : Hz, end of the range of recorded hits
 
     Raises ``ModalTestError`` for what cannot be read, with the file.
@@ -108,7 +108,7 @@ def read_responses(
 
 
 def _each_once(files: Sequence[str]) -> tuple[list[str], tuple[Notice, ...]]:
-    """Files of which none has the content of another one, and the names of those that were left out."""
+    """Files with different contents, and a notice of the repeated ones that were left out."""
     of_content: dict[bytes, str] = {}
     repeated = []
     for name in files:
@@ -134,7 +134,7 @@ def of_folder(name: str) -> list[str]:
 def _recordings(
     files: Sequence[str], force: int | None, response: Sequence[int]
 ) -> tuple[list[Recording], tuple[Notice, ...]]:
-    """Files that are not clipped, with the names of those that are; ``ClippedError`` where all are."""
+    """Recordings that are not clipped, and a notice of those that are; ``ClippedError`` where all are."""
     recordings, clipped = [], []
     for name in files:
         try:
@@ -176,7 +176,7 @@ def _universal(name: str) -> FrequencyResponses:
 
 
 def _table(name: str) -> FrequencyResponses:
-    """A frequency in each row, and a pair of columns a response: re and im, or magnitude and phase."""
+    """The responses of a table with a pair of columns for each: re and im, or magnitude and phase."""
     text = decode(_content(name))
     n_lines = text.count("\n") + text.count("\r")
     if n_lines > 2 * _MOST_LINES:  # two characters may end a line
@@ -221,7 +221,7 @@ def _table(name: str) -> FrequencyResponses:
 
 
 def _require_units(name: str, unit: str, angle: str, magnitude: Array, phase: Array) -> None:
-    """Raise ``ModalTestError`` where magnitude or phase cannot be in the unit that their heads say."""
+    """Raise ``ModalTestError`` where magnitude or phase cannot be in the unit that their headings state."""
     if "db" not in unit and np.any(magnitude < 0.0):
         raise ModalTestError(
             f"{name}: magnitudes below 0, down to {np.nanmin(magnitude):g}, accepted: 0 or above; of values "
@@ -241,7 +241,7 @@ def _require_units(name: str, unit: str, angle: str, magnitude: Array, phase: Ar
 
 
 def _columns(heads: Sequence[str]) -> list[tuple[str, str, int]]:
-    """Kind, whole head and place of the columns that are read."""
+    """Kind, whole heading and index of the columns that are read."""
     found = []
     for i, head in enumerate(heads):
         match = _HEAD.match(re.sub(r"[_\d]", " ", head.casefold()).strip())

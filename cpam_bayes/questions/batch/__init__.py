@@ -1,4 +1,4 @@
-"""Many plates one after the other: the question `batch`."""
+"""The question `batch`: many plates one after the other."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ from cpam_bayes.running import SILENT, TimeIsUpError, Watch, cut_short, is_time_
 __all__ = ["BatchResult", "batch"]
 
 MAX_PLATES: Final = 10_000
-# Plates that misfit and are diagnosed without being asked, those of the largest misfit.
+# Misfitting plates that are diagnosed unasked, those of the largest misfit.
 MOST_DIAGNOSED: Final = 6
-# A plate as it is computed, or why it cannot be.
+# File name with the plate as computed, or with the row that says why it cannot be.
 _Item: TypeAlias = "tuple[str, Specimen | PlateRow]"
 
 
@@ -70,27 +70,27 @@ def batch(
     workers: int | None = None,
     watch: Watch = SILENT,
 ) -> BatchResult:
-    """The constants of many plates by swarm and Laplace's approximation, and their diagnosis.
+    """The constants of many plates, each as by `identify`, and their diagnosis.
 
-    A plate that fails has a row with the reason, and the others are done. Of up to six plates that the
-    model does not describe it is said why: a slip of the file, or the claim of a diagnosis without sets.
-    Plates of one geometry whose thickness and density are within 5 % of the first, length and width within
-    1 %, share its models: their lists are carried to its sizes by d log f / d log s at the reference
+    A plate that fails gets a row with the reason; the others are computed all the same. For up to six plates
+    that the model does not describe, the reason is sought: a slip of the file, or the claim of a diagnosis
+    without sets. Plates of one geometry, thickness and density within 5 % of the first, length and width
+    within 1 %, share its models: their lists are scaled to its sizes by d log f / d log s at the reference
     constants.
 
     Parameters
     ----------
-    plates : of each a built-in name, a path, a table or a `Specimen`, see `read_plate`; of a folder, all its
-        plate files in the order of their names
+    plates : each a built-in name, a path, a table or a `Specimen`, see `read_plate`; a folder stands for all
+        its plate files, sorted by name
     limits : such as "E1_GPa >= 115"; each row has the probability of meeting them
-    diagnosis : whether to ask of every plate what the plate model gets wrong, as `diagnose` does
-    hierarchical : whether to ask for the mean constants of the material and their scatter from plate to
+    diagnosis : whether to diagnose every plate, as `diagnose` does
+    hierarchical : whether to estimate the mean constants of the material and their scatter from plate to
         plate, by emcee
     share_models : False computes each plate with its own sizes
-    store : a directory that keeps finished plates; the same call goes on from there
+    store : directory of finished plates, from which the same call resumes
     executor, workers : where the plates are computed, see `cpam_bayes.parallel.open_executor`; the answer is
         the same
-    watch : display of the progress; none where left out
+    watch : progress display; none if left out
 
     Raises
     ------
@@ -153,14 +153,14 @@ def batch(
 
 
 def _disagreeing(specimens: Sequence[Specimen]) -> Iterator[Notice]:
-    """A notice of the plates whose thickness, mass and density contradict one another."""
+    """Notice of plates whose thickness, mass and density contradict one another."""
     names = tuple(specimen.name for specimen in specimens if disagrees(specimen.plate))
     if names:
         yield Notice("disagreeing_plates", "slip", {"plates": names})
 
 
 def _not_described(rows: Sequence[PlateRow]) -> Iterator[Notice]:
-    """Notices of plates with a misfit that the stated noise does not explain."""
+    """Notice of plates whose misfit exceeds the stated noise."""
     worst = sorted((row for row in rows if row.misfit > 1.0), key=lambda row: -row.misfit)
     if worst:
         yield Notice("undescribed_plates", facts={"plates": tuple((row.name, row.misfit) for row in worst)})
@@ -169,7 +169,7 @@ def _not_described(rows: Sequence[PlateRow]) -> Iterator[Notice]:
 def _population(
     rows: Sequence[PlateRow], seed: int, watch: Watch
 ) -> tuple[Population | None, tuple[Notice, ...]]:
-    """Mean and scatter of the material, and why there is none or why not to trust it."""
+    """Mean and scatter of the material, with notices of why there are none or why to distrust them."""
     watch.announce("batch: mean and scatter of the material")
     try:
         population = population_of(rows, seed)
@@ -183,7 +183,7 @@ def _population(
 
 
 def _of_folder(plate: PlateLike) -> Sequence[PlateLike]:
-    """The plate files of a folder; of anything else, itself."""
+    """The plate files of a folder; any other plate as it is."""
     if not isinstance(plate, str | Path) or not Path(plate).is_dir():
         return (plate,)
     found = sorted(str(path) for path in Path(plate).glob("*.toml"))
@@ -193,7 +193,7 @@ def _of_folder(plate: PlateLike) -> Sequence[PlateLike]:
 
 
 def _as_given(row: PlateRow, plate: Specimen | PlateRow) -> PlateRow:
-    """A row with what its file says of the plate and the test."""
+    """The row with density, certificate and remarks from the plate file."""
     if isinstance(plate, PlateRow):
         return row
     of = plate.plate
@@ -206,7 +206,7 @@ def _as_given(row: PlateRow, plate: Specimen | PlateRow) -> PlateRow:
 
 
 def _read(plate: PlateLike, diagnosis: bool) -> _Item:
-    """A plate with the name it was given by, or the row that says why it cannot be computed."""
+    """A plate with its file name, or the row that says why it cannot be computed."""
     file = str(plate.get("name", "plate")) if isinstance(plate, Mapping) else str(plate)
     try:
         specimen = read_plate(plate)
@@ -220,7 +220,7 @@ def _read(plate: PlateLike, diagnosis: bool) -> _Item:
 
 
 def _require_limits_of_unknowns(limits: Sequence[Limit], items: Sequence[_Item]) -> None:
-    """Raise ``ValueError`` for a limit on a constant that no plate asks for."""
+    """Raise ``ValueError`` for a limit on a constant that is unknown in no plate."""
     read = [item for _, item in items if isinstance(item, Specimen)]
     unknown = list(dict.fromkeys(name for specimen in read for name in specimen.unknowns.names))
     for limit in limits:
@@ -236,7 +236,7 @@ def _readable(items: Sequence[_Item]) -> int:
 
 
 def _with_shared_sizes(items: Sequence[_Item]) -> tuple[Sequence[_Item], int]:
-    """The plates of one geometry with the sizes of its first, and the number of geometries."""
+    """The plates with the sizes of the first of their geometry, and the number of geometries."""
     plates, count = with_shared_sizes([plate for _, plate in items if isinstance(plate, Specimen)])
     left = iter(plates)
     shared = [(file, next(left) if isinstance(plate, Specimen) else plate) for file, plate in items]
@@ -252,7 +252,7 @@ def _computed(
     workers: int | None,
     watch: Watch,
 ) -> tuple[list[PlateRow], int]:
-    """All rows, and the number of those that were stored."""
+    """All rows, and how many of them were stored."""
     rows: dict[int, PlateRow] = {}
     keys: dict[int, str] = {}
     sources = fingerprint(__name__)
@@ -303,7 +303,7 @@ def _explained(
     workers: int | None,
     watch: Watch,
 ) -> list[PlateRow]:
-    """The rows with a brief diagnosis of those that misfit, but for a slip that no diagnosis weighs."""
+    """The rows, with a brief diagnosis of misfitting plates unless a slip of the plate explains them."""
     done, sources = list(rows), fingerprint(__name__)
     wrong = [i for i, r in enumerate(rows) if r.misfit > 1.0 and (r.slip is None or weighs_slip(r.slip))]
     wrong = sorted(sorted(wrong, key=lambda i: -rows[i].misfit)[:MOST_DIAGNOSED])
@@ -332,7 +332,7 @@ def _explained(
 
 
 def _brief(shared: None, specimen: Specimen) -> PlateDiagnosis | None:
-    """The diagnosis of a plate without sets; None where it cannot be asked for."""
+    """The diagnosis of a plate without sets; None where it cannot be diagnosed."""
     try:
         return diagnosed(require_diagnosable(specimen), sets=False)
     except (ValueError, ArithmeticError, RuntimeError):
@@ -342,7 +342,7 @@ def _brief(shared: None, specimen: Specimen) -> PlateDiagnosis | None:
 def _build_models(
     plates: Sequence[Specimen | PlateRow], pool: Executor | None, notify: Callable[[str], None]
 ) -> None:
-    """Build what the diagnoses of the plates need on all workers, a geometry once."""
+    """Build the models for the diagnoses on all workers, once for each geometry."""
     if pool is None:
         return
     seen = set()
@@ -365,7 +365,7 @@ def _build_models(
 
 
 def _row(shared: tuple[int, bool], item: tuple[str, Specimen]) -> PlateRow:
-    """The row of one plate; whatever stops it stops no other."""
+    """The row of one plate; an exception becomes a failed row."""
     (seed, diagnosis), (file, specimen) = shared, item
     try:
         return _identified_row(file, specimen, seed, diagnosis)
@@ -376,7 +376,7 @@ def _row(shared: tuple[int, bool], item: tuple[str, Specimen]) -> PlateRow:
 
 
 def _identified_row(file: str, specimen: Specimen, seed: int, diagnosis: bool) -> PlateRow:
-    """The constants of a plate by swarms, and the claim where it is asked for."""
+    """The row of a plate: constants by swarms, and the claim if asked for."""
     point = identify(specimen, seed=seed)
     whole = None if specimen.measurement is None else specimen.measurement.whole
     row = computed_row(

@@ -1,4 +1,4 @@
-"""The presentation of a batch: its plates, limits and control chart."""
+"""The report of a batch: its plates, limits and control chart."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ from cpam_bayes.result import present
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Rows of a first screen, and names in a sentence.
+# Rows on the first screen, plates named as outside the limits, and as not described, in a sentence.
 _MOST_ROWS, _MOST_NAMES, _MOST_WRONG = 40, 10, 3
-# Plates whose names stand below the axis of the control chart, and beside each other there.
+# Plates named below the axis of the control chart, and those with upright names.
 _MOST_TICKS, _MOST_UPRIGHT = 40, 6
-# Standard deviation of normal values over their median distance from the median.
+# Standard deviation of normal values over their median absolute deviation.
 _NORMAL: Final = 1.4826
 _OUTSIDE: Final = "#b3261e"
 _FAILED: Final = (Column("file", "file", lambda row: row.file), Column("why", "why", lambda row: row.message))
@@ -49,7 +49,6 @@ _FAILED: Final = (Column("file", "file", lambda row: row.file), Column("why", "w
 
 @present.register
 def _present(result: BatchResult) -> Report:
-    """How many plates have an answer, which meet their limits, which differ from the others."""
     table, constants = plates(result), _constants(result)
     failed = Rows("failed", _FAILED, result.failed)
     first = "Plates" if len(result.rows) <= _MOST_ROWS else f"The first {_MOST_ROWS} plates"
@@ -104,7 +103,7 @@ def _headline(result: BatchResult) -> str:
 
 
 def _lines(result: BatchResult) -> tuple[str, ...]:
-    """How well the model fits, and what the intervals contain."""
+    """Lines on the fit and on the content of the intervals."""
     if not result.done:
         return ()
     worst = max(result.done, key=lambda row: row.rms)
@@ -118,7 +117,6 @@ def _lines(result: BatchResult) -> tuple[str, ...]:
 
 
 def _next_step(result: BatchResult) -> str:
-    """The most useful of the steps that are left."""
     if result.failed:
         return "correct the files that failed and run the batch again; with --store the others are kept."
     if step := limit_step(result):
@@ -135,15 +133,15 @@ def _next_step(result: BatchResult) -> str:
 
 
 def _missing(result: BatchResult) -> PlateRow | None:
-    """The first plate that misses a limit."""
+    """The first plate that fails a limit."""
     each = ((row, result.probability(row, limit)) for limit in result.limits for row in result.judged)
     return next((row for row, met in each if met is not None and met <= 1.0 - SURE), None)
 
 
 def _computation(result: BatchResult) -> Table:
     rows = [
-        ("constants", "swarms on relative residuals, as identify --residuals relative"),
-        ("limits", "by Laplace's approximation of the posterior"),
+        ("constants", "swarms on residuals over their standard deviations, as identify"),
+        ("limits", "a normal distribution with value and sd of the constant, cut at its bounds"),
         ("models", f"{result.models} for {len(result.rows)} plates: a list is carried to the sizes of the "
          "first plate of its geometry"),
         ("control limits", f"median +- {SIGMAS:g} sd, the sd {OF_MEDIAN_RANGE:.4g} times the median moving "
@@ -159,7 +157,7 @@ def _computation(result: BatchResult) -> Table:
 
 
 def _values(result: BatchResult, name: str) -> list[RowConstant]:
-    """One constant of all plates that are judged and have it."""
+    """One constant of all judged plates that have it."""
     return [c for row in result.judged if (c := row.constant(name)) is not None]
 
 
@@ -168,14 +166,14 @@ def _median(result: BatchResult, name: str) -> float:
 
 
 def _median_text(result: BatchResult, name: str) -> str:
-    """The median to the digits of the scatter of the plates, or of a single one."""
+    """The median, to the digits of the scatter between plates, or of a single plate's sd."""
     scatter = _scatter(result, name)
     spread = scatter if np.isfinite(scatter) and scatter > 0.0 else _own_sd(result, name)
     return with_spread(_median(result, name), spread)[0]
 
 
 def _scatter(result: BatchResult, name: str) -> float:
-    """The scatter of the plates by the median of their distances from the median."""
+    """Scatter between plates, from the median absolute deviation."""
     values = np.array([to_user(name, c.value) for c in _values(result, name)])
     if len(values) < LEAST_PLATES:
         return float("nan")
@@ -196,7 +194,7 @@ def _outside(result: BatchResult, name: str) -> str:
 
 
 def _constants(result: BatchResult) -> Rows:
-    """Mean, scatter between plates and spread of a single plate of each constant."""
+    """Median, scatter between plates and sd of a single plate for each constant."""
     of = partial
     columns = (
         Column("", "name", str),
@@ -214,7 +212,7 @@ def _constants(result: BatchResult) -> Rows:
 
 
 def _scatters(population: Population | None) -> Rows:
-    """Mean constants of the material, their scatter, and where a further plate would lie."""
+    """Mean constants of the material, their scatter, and the interval of a further plate."""
     columns = (
         Column("", "name", lambda c: c.name),
         Column("mean", None, lambda c: _spread(c.name, c.mean)[0], number=True),
@@ -252,7 +250,7 @@ def _drawings(result: BatchResult) -> tuple[Drawing, ...]:
 
 
 def _control_charts(result: BatchResult) -> Figure:
-    """Each constant over the plates in their order, with the limits of individual values."""
+    """Each constant over the plates in order, with the control limits for individual values."""
     names, rows = result.constants, result.done
     figure = new_figure(min(max(5.5, 0.2 * len(rows) + 2.0), 12.0), 1.7 * len(names) + 1.0)
     grid = figure.subplots(len(names), 1, squeeze=False, sharex=True).ravel()

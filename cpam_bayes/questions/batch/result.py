@@ -1,4 +1,4 @@
-"""The answer of `batch`: a table of plates, whose columns are declared once for screen, JSON and files."""
+"""The result of `batch`: a table of plates, whose columns are declared once for screen, JSON and files."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from cpam_bayes.result import Result
 
 BatchVerdict: TypeAlias = Literal["pass", "fail", "too close to call", "cannot be judged"]
 SURE: Final = 0.95
-"""Probability of meeting a limit from which a plate is said to, and 1 - it to fail."""
+"""Probability of meeting all limits from which a plate passes; it fails from 1 - SURE down."""
 CERTIFICATE: Final = "Certificate"
-"""Title of the section that a certificate is printed from."""
+"""Title of the section that is printed as a certificate."""
 
 _OF_CONSTANT: Final = (
     Column(None, "value", lambda c: to_user(c.name, 1.0) * c.value),
@@ -32,7 +32,7 @@ _OF_CONSTANT: Final = (
     Column(None, "q975", lambda c: to_user(c.name, 1.0) * c.high),
     Column(None, "verdict", lambda c: c.verdict.value),
 )
-"""Columns of a `RowConstant`, in the unit of the plate file."""
+"""Columns of a `RowConstant`, in plate-file units."""
 _OF_CLAIM: Final = (
     Column(None, "claim", lambda d: d.claim),
     Column(None, "causes", lambda d: list(d.causes)),
@@ -55,16 +55,16 @@ _OF_FIT: Final = (
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class BatchResult(Result):
-    """One row a plate.
+    """One row for each plate.
 
     Attributes
     ----------
     rows : in the order of the plates
-    limits : what the constants have to meet
+    limits : that the constants have to meet
     diagnosis : whether each plate was diagnosed
     models : number of geometries, whose plates share one model
-    from_store : number of plates that a stored run had finished
-    population : mean constants of the material and their scatter, where asked for
+    from_store : number of plates read from the store
+    population : mean constants of the material and their scatter, if asked for
     seconds : wall clock
     """
 
@@ -80,53 +80,53 @@ class BatchResult(Result):
 
     @property
     def status(self) -> str:
-        """Either "done", "failed" where a plate has no answer, or "not converged", of the scatter."""
+        """One of "done", "failed" where a plate has no answer, "not converged" where the scatter has not."""
         if self.failed or self.reached_goal:
             return "failed" if self.failed else "done"
         return "not converged"
 
     @property
     def title(self) -> str:
-        """The number of plates."""
+        """Number of plates, as text."""
         return f"of {len(self.rows)} plate{'' if len(self.rows) == 1 else 's'}"
 
     @property
     def done(self) -> tuple[PlateRow, ...]:
-        """The plates that have an answer."""
+        """Plates with an answer."""
         return tuple(row for row in self.rows if row.status == "done")
 
     @property
     def judged(self) -> tuple[PlateRow, ...]:
-        """The plates whose lists the plate model describes: medians, scatter and charts are theirs."""
+        """Plates whose list the model describes: only these enter medians, scatter and charts."""
         return tuple(row for row in self.rows if row.is_judged)
 
     @property
     def failed(self) -> tuple[PlateRow, ...]:
-        """The plates that have none."""
+        """Plates without an answer."""
         return tuple(row for row in self.rows if row.status == "failed")
 
     @property
     def constants(self) -> tuple[str, ...]:
-        """All constants that a plate has, in the order in which they come."""
+        """All constants of the plates, in the order of their first occurrence."""
         return tuple(dict.fromkeys(c.name for row in self.done for c in row.constants))
 
     def chart(self, name: str) -> ControlChart | None:
-        """The control chart of one constant over the plates that are judged and have it."""
+        """The control chart of one constant over the judged plates that have it."""
         found = [row.constant(name) for row in self.judged]
         return control_chart([c.value for c in found if c is not None])
 
     def outside(self, name: str) -> tuple[PlateRow, ...]:
-        """The plates beyond the limits of the control chart of one constant."""
+        """Plates beyond the control limits of one constant."""
         chart, having = self.chart(name), [row for row in self.judged if row.constant(name) is not None]
         return () if chart is None else tuple(having[i] for i in chart.outside)
 
     def probability(self, row: PlateRow, limit: Limit) -> float | None:
-        """The probability that a plate meets a limit; None where it has no such constant."""
+        """Probability that a plate meets a limit; None where it has no such constant."""
         constant = row.constant(limit.name)
         return None if constant is None else constant.posterior.meets(limit)
 
     def texts(self) -> Mapping[str, str]:
-        """The table for a spreadsheet, and where there are limits a certificate of one page."""
+        """The table as CSV, and where there are limits a certificate of one page."""
         table = {"results.csv": csv_text(plates(self))}
         report = self.report()
         sections = [replace(s, folded=False) for s in report.sections if s.title == CERTIFICATE and s.tables]
@@ -148,7 +148,7 @@ def _record(columns: Sequence[Column], of: Any) -> dict[str, Any]:
 
 
 def plates(result: BatchResult, most: int | None = None) -> Rows:
-    """A row a plate: the table of the screen, results.csv and the data frame; most : rows at most."""
+    """One row per plate: the table of the screen, results.csv and the data frame; most : rows at most."""
     constants = [column for name in result.constants for column in _columns_of(name)]
     claim = [replace(c, value=partial(_of_claim, c)) for c in _OF_CLAIM]
     limits = [
@@ -172,7 +172,7 @@ def plates(result: BatchResult, most: int | None = None) -> Rows:
 
 
 def _columns_of(name: str) -> list[Column]:
-    """A constant as a reader sees it, then as files hold it: E1_GPa, E1_GPa_sd, ..."""
+    """Columns of a constant for the reader, then for files: E1_GPa, E1_GPa_sd, ..."""
     unit, user = unit_of(name), user_name(name)
     shown = Column(f"{name}, {unit}" if unit else name, None, lambda row: _constant_text(row, name))
     value, *others = (replace(c, value=partial(_of_constant, c, name)) for c in _OF_CONSTANT)
@@ -185,7 +185,7 @@ def _of_constant(column: Column, name: str, row: PlateRow) -> Any:
 
 
 def _of_claim(column: Column, row: PlateRow) -> Any:
-    """As a cell of a table: several causes with a space between."""
+    """Table cell of a diagnosis; several causes are joined by spaces."""
     value = None if row.diagnosis is None else column.value(row.diagnosis)
     return " ".join(value) if isinstance(value, list) else value
 
@@ -215,7 +215,7 @@ def _constant_text(row: PlateRow, name: str) -> str:
 
 
 def probability_text(p: float) -> str:
-    """A probability to three digits after the point, or as beyond them."""
+    """A probability with three decimals, or the bound beyond which it lies."""
     return fixed(p, 3) if 0.001 <= p <= 0.999 else ("< 0.001" if p < 0.5 else "> 0.999")
 
 
@@ -309,7 +309,7 @@ def _quantiles(values: tuple[float, float, float, float], factor: float) -> dict
 
 
 def dataset(result: BatchResult) -> Any:
-    """The table over plate, constant and limit as ``xarray.Dataset``, in the units of plate files."""
+    """The table over plate, constant and limit as ``xarray.Dataset``, in plate-file units."""
     import xarray
 
     names, rows = result.constants, result.rows
@@ -348,7 +348,7 @@ def dataset(result: BatchResult) -> Any:
 
 
 def population_dataset(result: BatchResult) -> Any:
-    """The draws of means and scatters as ``xarray.Dataset``, in the units of plate files."""
+    """Draws of means and scatters as ``xarray.Dataset``, in plate-file units."""
     import xarray
 
     found = result.population

@@ -1,4 +1,4 @@
-"""The four verdicts of a batch on its limits, the reason of each that is no pass, and the certificate."""
+"""The four verdicts of a batch on its limits, the reason of each that is not a pass, and the certificate."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from cpam_bayes.plate import to_user, unit_of
 from cpam_bayes.questions.batch.result import CERTIFICATE, SURE, BatchResult, BatchVerdict, verdict
 from cpam_bayes.render.report import Column, Rows, Section, facts
 
-# Plates of one verdict that are named, and causes of one plate.
+# Plates named per verdict, and causes named per plate.
 _MOST_NAMED, _MOST_CAUSES = 3, 2
-# What the file of a plate says of its test.
+# Entries of a plate file about its test.
 _STATED: Final = ("specimen", "laboratory", "operator", "date")
 _VERBS: Final[dict[BatchVerdict, tuple[str, str]]] = {
     "pass": ("passes", "pass"),
@@ -40,13 +40,13 @@ _SLIPS: Final = {
     "misread": "frequency {number} misread?",
     "decimal": "a decimal point of frequency {number}?",
 }
-# Probability below which moduli do not go together, and relative scatter that they may have for all that;
-# masses and thicknesses that differ by less, relative, say nothing of each other.
+# p-value below which moduli share no factor, relative scatter that they may have all the same, and relative
+# difference below which masses and thicknesses tell nothing.
 _TOGETHER, _APART, _SAME = 0.01, 0.01, 0.005
 
 
 def four_verdicts(result: BatchResult) -> str:
-    """How many plates pass, fail, cannot be judged and are too close to call, and why."""
+    """How many plates pass, fail, cannot be judged or are too close to call, and why."""
     said = []
     for which, (one, many) in _VERBS.items():
         rows = [row for row in result.rows if verdict(result, row) == which]
@@ -70,7 +70,7 @@ def _why(result: BatchResult, row: PlateRow, which: BatchVerdict) -> str:
 
 
 def pattern_of(result: BatchResult, row: PlateRow) -> str:
-    """All moduli off by one factor, and the mass, as a thickness is; "" where they are not."""
+    """In words: a common factor of all moduli, read as a thickness where the mass agrees; "" for none."""
     factor = common_factor(result, row)
     if factor is None:
         return ""
@@ -91,9 +91,9 @@ def _modulus(result: BatchResult, row: PlateRow) -> str:
 
 
 def common_factor(result: BatchResult, row: PlateRow) -> float | None:
-    """The factor by which all moduli of a plate are off the medians of the batch; None where there is none.
+    """Common factor of a plate's moduli relative to the medians of the batch; None where there is none.
 
-    A thickness h that is stated wrongly makes all moduli of a thin plate wrong by one factor.
+    A wrongly stated thickness h scales all moduli of a thin plate by one factor.
     """
     logs, sd = [], []
     for c in row.constants:
@@ -110,9 +110,9 @@ def common_factor(result: BatchResult, row: PlateRow) -> float | None:
 
 
 def _of_thickness(result: BatchResult, row: PlateRow, factor: float) -> float | None:
-    """The relative change of thickness that moduli and mass agree on; None where they do not.
+    """The relative change of thickness on which moduli and mass agree; None where they do not.
 
-    With the mass weighed moduli go with h^3 of what is stated too thick, and the density with h.
+    For a weighed plate t times as thick as stated, moduli come out t^3 times, the density t times as large.
     """
     known = [other.density for other in result.judged if other.density is not None]
     if row.density is None or len(known) < LEAST_PLATES:
@@ -124,17 +124,17 @@ def _of_thickness(result: BatchResult, row: PlateRow, factor: float) -> float | 
 
 
 def slip_question(kind: str, number: int) -> str:
-    """A slip of a plate file, as a question; number : of its mode or frequency."""
+    """A slip of a plate file as a question; number : of its mode or frequency."""
     return _SLIPS[kind].format(number=number)
 
 
 def weighs_slip(slip: tuple[str, int]) -> bool:
-    """Whether a diagnosis weighs a slip, one of the list, against all other causes."""
+    """Whether `diagnose` weighs a slip too, as it does slips of the list."""
     return slip[1] > 0
 
 
 def why_not_judged(result: BatchResult, row: PlateRow) -> str:
-    """What stands against judging a plate: no answer, a slip, a cause, a misfit, constants left open."""
+    """Why a plate is not judged: no answer, a slip, a cause, a misfit, or undetermined constants."""
     if row.status == "failed":
         return "no answer"
     cause = _cause(row)
@@ -148,13 +148,13 @@ def why_not_judged(result: BatchResult, row: PlateRow) -> str:
 
 
 def _is_of_plate(row: PlateRow) -> bool:
-    """Whether a diagnosis names a cause that is no error of the list, of which a slip says more."""
+    """Whether a diagnosis names a cause other than list errors, which a slip describes better."""
     of_list = {effect.name for effect in CATALOGUE if effect.pairings}
     return row.diagnosis is not None and not of_list.issuperset(row.diagnosis.causes)
 
 
 def _cause(row: PlateRow) -> str:
-    """The causes that a diagnosis names, as a question; "" where it names none."""
+    """The causes named by a diagnosis, as a question; "" for none."""
     found = row.diagnosis
     if found is None or found.claim not in ("named", "class", "pair") or len(found.causes) > 3:
         return ""
@@ -171,9 +171,9 @@ def _cause(row: PlateRow) -> str:
 
 
 def limit_step(result: BatchResult) -> str:
-    """What can close the first limit that is neither met nor missed; "" where there is none.
+    """What can decide the first limit that is neither met nor missed; "" where there is none.
 
-    A repeat of the test does not where a size of the plate makes most of the standard deviation.
+    Repeating the test does not help where a size of the plate dominates the standard deviation.
     """
     for limit in result.limits:
         for row in result.judged:
@@ -191,7 +191,7 @@ def limit_step(result: BatchResult) -> str:
 def certificate_section(result: BatchResult) -> Section:
     """Who tested each plate and when, and how the limits were judged; empty without limits.
 
-    What all files say alike stands once.
+    Entries common to all files are listed once.
     """
     if not result.limits:
         return Section(CERTIFICATE)
@@ -218,12 +218,12 @@ def certificate_section(result: BatchResult) -> Section:
 
 
 def _stated(name: str, row: PlateRow) -> str:
-    """What the file of a plate says under a name of its certificate; "" where it says nothing."""
+    """An entry of the plate file about its test; "" if missing."""
     return dict(row.certificate).get(name, "")
 
 
 def _guard(result: BatchResult, limit: Limit) -> str:
-    """The guard band of a limit: how far inside it a plate of usual sd passes."""
+    """The guard band of a limit: how far inside it a plate of typical sd passes."""
     sd = [c.sd for row in result.judged if (c := row.constant(limit.name)) is not None and not c.is_open]
     if not sd:
         return "judged for no plate"

@@ -1,4 +1,4 @@
-"""Errors of the plate, the list or the model, weighed by probability: the question `diagnose`."""
+"""The question `diagnose`: probabilities of errors of the plate, the list or the model."""
 
 from __future__ import annotations
 
@@ -110,19 +110,19 @@ def diagnose(
     workers: int | None = None,
     watch: Watch = SILENT,
 ) -> DiagnosisResult:
-    """The probable errors of the plate, the list or the model, and the constants that allow for them.
+    """Probabilities of errors of the plate, the list or the model, and constants that allow for them.
 
     Parameters
     ----------
-    plates : of each a built-in name, a path, a table or a `Specimen`, see `read_plate`;
-        several plates are of one material and share their constants, those with equal ``specimen`` are one
+    plates : each a built-in name, a path, a table or a `Specimen`, see `read_plate`;
+        several plates share one material and its constants; those with equal ``specimen`` are one
         plate under several tests
     scatter : relative standard deviation of a constant from plate to plate of one material
-    prior_none : prior probability that nothing is wrong, 0.5 where left out
+    prior_none : prior probability that nothing is wrong, 0.5 if left out
     next_test : when to rank further tests: while the cause is "open", "always", or "never"
-    catalogue : the effects that the plates may have; those of the package where left out
+    catalogue : possible effects; those of the package if left out
     executor, workers : where models are built and hypotheses are fitted, as for `cb.sequence`
-    watch : display of the progress; none where left out
+    watch : progress display; none if left out
 
     Raises
     ------
@@ -177,7 +177,6 @@ def diagnose(
 
 
 def _slips(diagnosis: Diagnosis, specimens: Sequence[Specimen]) -> tuple[Notice, ...]:
-    """Likely slips that ruin the diagnosis."""
     fit = diagnosis.extended or diagnosis.baseline
     unknowns = {name for specimen in specimens for name in specimen.unknowns.names}
     return (
@@ -195,7 +194,7 @@ def diagnosis_result(
     scatter: float = DEFAULT_SCATTER,
     candidates: tuple[Candidate, ...] = (),
 ) -> DiagnosisResult:
-    """A diagnosis with what is shown of it: the mode of each frequency, mode shapes, what air would do."""
+    """The result of a diagnosis: with the mode of each frequency, mode shapes and the shifts by air."""
     specimens = tuple(case.models.specimen for case in diagnosis.cases)
     extended = diagnosis.extended
     return DiagnosisResult(
@@ -248,16 +247,15 @@ def _diagnosed(
         )
 
 
-# A residual of so many standard deviations is marked.
+# A larger residual, in standard deviations, is marked.
 _FAR_SD: Final = 2.5
-# Causes shown: those with this probability, so many at most.
+# Causes shown: those above this probability, up to this many.
 _LEAST, _MOST = 0.005, 10
 _TESTS_SHOWN: Final = 5
 
 
 @present.register
 def _present(result: DiagnosisResult) -> Report:
-    """The claim and the constants that allow for it, what it stands on, and what to do next."""
     return Report(
         summary=summary(result),
         sections=_sections(result),
@@ -268,7 +266,7 @@ def _present(result: DiagnosisResult) -> Report:
 
 
 def _sections(result: DiagnosisResult) -> tuple[Section, ...]:
-    """The finding and the fit of each mode, then all that stands behind the claim, folded."""
+    """The finding and the fit of each mode, then the evidence for the claim, folded."""
     d = result.diagnosis
     drawn = {drawing.name for drawing in drawings(result)}
 
@@ -311,13 +309,13 @@ def _sections(result: DiagnosisResult) -> tuple[Section, ...]:
 
 
 def _laboratory(d: Diagnosis) -> Table:
-    """How the laboratory can check what was found, where one check does not suffice."""
+    """Checks for the laboratory, where one does not suffice."""
     found = checked_effects(d) if d.claim.kind not in ("undecided", OTHER) else ()
     return facts("Laboratory checks", ((e.title, e.check) for e in found) if len(found) > 1 else ())
 
 
 def _misfit(d: Diagnosis, fit: Fit, title: str) -> Table:
-    """How large the residuals are, and whether noise alone explains them."""
+    """Size of the residuals, and whether noise alone explains them."""
     rows = [
         ("misfit", f"{significant(100 * fit.rms, 3)} %, root mean square of the residuals"),
         ("p-value", f"{_p_value(d, fit)}; small speaks against the model"),
@@ -342,7 +340,7 @@ def _p_value(d: Diagnosis, fit: Fit) -> str:
 
 
 def _frequencies(result: DiagnosisResult) -> Table:
-    """Each frequency with its mode, without what was found and, where something was, with it."""
+    """Each frequency with its mode, by the plain model and, where there is a claim, the extended one."""
     d, before = result.diagnosis, result.plain.frequencies
     after = before if result.extended is None else result.extended.frequencies
     decimals = decimals_of(d.baseline.measured)
@@ -379,7 +377,6 @@ def _frequencies(result: DiagnosisResult) -> Table:
 
 
 def _fit_columns(i: int, heading: str, hertz: Callable[[float], str]) -> tuple[Column, ...]:
-    """The columns of one of two fits of a frequency."""
 
     def of(row: tuple[FrequencyRow, FrequencyRow], value: str) -> float | None:
         return None if row[i].predicted is None else getattr(row[i], value)
@@ -398,7 +395,7 @@ def _is_far(row: FrequencyRow) -> bool:
 
 
 def _other_mode(row: tuple[FrequencyRow, FrequencyRow]) -> str | None:
-    """The mode of a frequency without what was found, where that is another mode."""
+    """The mode of a frequency under the plain model, where it differs."""
     before, after = row
     if after.number == before.number:
         return None
@@ -410,7 +407,7 @@ def _rows(result: DiagnosisResult, name: str) -> Rows:
 
 
 def _causes(result: DiagnosisResult) -> tuple[Table, ...]:
-    """The most probable causes with their sizes, and what all others have together."""
+    """The most probable causes with their sizes, and the total of the others."""
     d = result.diagnosis
     shown = leading(d, _LEAST, _MOST)
     rows = replace(_rows(result, "hypotheses"), rows=shown)
@@ -420,7 +417,7 @@ def _causes(result: DiagnosisResult) -> tuple[Table, ...]:
 
 
 def _detectable(result: DiagnosisResult) -> tuple[Table, Table]:
-    """The smallest size of each cause that these data would have shown, and what they would not have."""
+    """Detection limits of the causes, and the causes that these data cannot show."""
     rows = _rows(result, "detectable")
     seen = tuple(row for row in rows.rows if row.smallest is not None)
     unseen = tuple(row for row in rows.rows if row.smallest is None)
@@ -433,7 +430,7 @@ def _detectable(result: DiagnosisResult) -> tuple[Table, Table]:
 
 
 def _hidden(d: Diagnosis) -> Table:
-    """Causes that the constants imitate, and by how much each constant moves."""
+    """Causes that the constants imitate, and the shift of each constant."""
     names = [c.name for c in answer_constants(d)]
     columns = (
         Heading("error"),
@@ -452,7 +449,7 @@ def _hidden(d: Diagnosis) -> Table:
 
 
 def _constants(d: Diagnosis) -> Table:
-    """Mean and 95 % interval without what was found, with it, and of the answer."""
+    """Mean and 95 % interval by the plain model, by the extended model, and of the answer."""
     without = {c.name: c for c in fit_constants(d, d.baseline)}
     extended = {c.name: c for c in fit_constants(d, d.extended)} if d.extended is not None else {}
     columns = (
@@ -479,14 +476,13 @@ def _with_interval(c: Constant) -> str:
 
 
 def _relied(d: Diagnosis) -> Table:
-    """Priors of other constants that intervals depend on."""
+    """Priors of other constants on which intervals depend."""
     priors = {c.name: c.prior for c in answer_constants(d)}
     said = reliance_sentences(d.reliances, priors.__getitem__, shown_constants(d))
     return remarks("What the intervals depend on", said)
 
 
 def _gain(d: Diagnosis) -> Table:
-    """The gain of modelling the claimed cause."""
     if d.gain is None or d.extended is None:
         return facts("Gain", ())
     gain = d.gain

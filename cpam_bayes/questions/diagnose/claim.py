@@ -1,4 +1,4 @@
-"""The first screen of a diagnosis: the claim, the constants that allow for it, the fit, the next step."""
+"""The first screen of a diagnosis: claim, constants that allow for it, fit, next step."""
 
 from __future__ import annotations
 
@@ -47,22 +47,22 @@ from cpam_bayes.render.sentences import (
     stated_noise,
 )
 
-# Probability of deciding from which a further test is recommended as such.
+# Probability of deciding from which a further test is recommended.
 _DECIDES: Final = 0.3
-# Probability from which the check of a cause is named where nothing is claimed, and how many are.
+# Probability from which a cause is to be checked where nothing is claimed, and how many are.
 _LIKELY, _CHECKED = 0.1, 2
 # Bayes factor below which a list is no evidence of an error (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995).
 _EVIDENCE: Final = 3.0
-# Probability from which a cause is told where time was up before all were tested.
+# Probability from which a cause is reported where time ran out before all were tested.
 _TOLD: Final = 1e-3
-# Places that are listed beside the first one.
+# Image places listed beside the first one.
 _IMAGES: Final = 3
-# Fraction of the answer from which it contains what hypotheses of it contain.
+# Share of the answer's probability from which a cause counts as part of it.
 _CONTAINED: Final = 0.5
 
 
 def summary(result: DiagnosisResult) -> Summary:
-    """The claim, the constants that allow for it, how well they fit, and what to do next."""
+    """The first screen: claim, constants that allow for it, fit, next step."""
     d = result.diagnosis
     return Summary(
         title=f"diagnose {result.title}",
@@ -86,7 +86,7 @@ def summary(result: DiagnosisResult) -> Summary:
 
 
 def headline(result: DiagnosisResult) -> str:
-    """The claim, and that it is of the frequencies alone where the file contradicts itself."""
+    """The claim; limited to the frequencies where the plate file contradicts itself."""
     said = claim_sentence(result.diagnosis)
     if contradicts_itself(result.notices):
         return f"From the frequencies alone: {said[:1].lower()}{said[1:]}"
@@ -94,7 +94,7 @@ def headline(result: DiagnosisResult) -> str:
 
 
 def claim_sentence(d: Diagnosis) -> str:
-    """The claim in one sentence, its size and its probability."""
+    """The claim in one sentence, with its size and probability."""
     p = probability_text(d.claim.probability)
     by_name = {cause.name: cause for cause in d.causes}
     match d.claim.kind:
@@ -128,7 +128,7 @@ def claim_sentence(d: Diagnosis) -> str:
 
 
 def _undecided(d: Diagnosis) -> str:
-    """The headline where nothing is claimed: open is the cause, or whether there is one."""
+    """Headline where nothing is claimed: what is open is the cause, or whether there is an error at all."""
     acting = {**d.inclusion, OTHER: d.weighed.by_cause().get(OTHER, 0.0)}
     causes = dict(sorted(acting.items(), key=lambda entry: -entry[1])[:FEW])
     if d.weighed.is_cut_short:
@@ -151,7 +151,7 @@ def _with_probabilities(d: Diagnosis, causes: Mapping[str, float]) -> str:
 
 
 def _found(d: Diagnosis, cause: Cause) -> str:
-    """A cause with its size and where it is; of a set, one after the other."""
+    """A cause with its size and place; the effects of a set in turn."""
     said, in_list = [], _in_list(d, cause)
     of_list = dict(zip(cause.hypothesis.unmodelled, in_list, strict=False))
     for effect in cause.hypothesis.records:
@@ -166,7 +166,7 @@ def _found(d: Diagnosis, cause: Cause) -> str:
 
 
 def _or_images(d: Diagnosis, cause: Cause) -> str:
-    """That a corner or an edge may be another one, where no frequency tells."""
+    """Phrase for a corner or edge that symmetry makes equal to others; "" for none."""
     facts = [case.models.facts for case in d.cases if case.name in cause.plates]
     for effect in cause.hypothesis.records:
         corners = effect.place is not None and images_of((effect.place[0], effect.place[1]), facts)[1:]
@@ -177,13 +177,13 @@ def _or_images(d: Diagnosis, cause: Cause) -> str:
 
 
 def _alone(d: Diagnosis, cause: Cause) -> str:
-    """Size and place of a cause that something else may act beside, "" where it has no size."""
+    """Size and place of a cause beside which another may act; "" where it has no size."""
     size = size_text(cause)
     return f": {size}{_near(d, cause)} if alone" if size else ""
 
 
 def _near(d: Diagnosis, cause: Cause, effect: Effect | None = None) -> str:
-    """The place of an effect of a cause with its images, "" where it has none; effect : as in `place_of`."""
+    """The place of an effect with its images, "" where it has none; effect : as in `place_of`."""
     plate = next(case for case in d.cases if case.name in cause.plates).models.specimen.plate
     place = place_of(cause, plate, effect)
     if place is None:
@@ -222,7 +222,7 @@ def _capital(text: str) -> str:
 
 
 def _fit_sentence(d: Diagnosis) -> str:
-    """How well the model fits, before and after what was found."""
+    """How well the model fits, before and after allowing for the claim."""
     before = significant(100.0 * d.baseline.rms, 2)
     if d.extended is not None and d.claim.kind != OTHER:
         allowing = {"class": "Allowing for one of them", "pair": "Allowing for these"}
@@ -245,13 +245,13 @@ def _fit_sentence(d: Diagnosis) -> str:
 
 
 def _unexplained(d: Diagnosis) -> str:
-    """What neither noise nor the claim explains of the misfit, if anything."""
+    """Misfit that neither noise nor the claim explains, if any."""
     probability, size = d.leftover
     return f"; {significant(100.0 * size, 2)} % remains unexplained" if probability >= 0.5 else ""
 
 
 def stated_levels(d: Diagnosis) -> list[tuple[float, str]]:
-    """The relative noise of each list that states one, and where it stands."""
+    """The relative noise of each list that states one, and where it is stated."""
     found = []
     for case in d.cases:
         measurement, of = case.measurement, f" of {case.name}" if len(d.cases) > 1 else ""
@@ -261,7 +261,6 @@ def stated_levels(d: Diagnosis) -> list[tuple[float, str]]:
 
 
 def _beside(d: Diagnosis) -> tuple[str, ...]:
-    """Possible further errors beside the claimed one."""
     if not d.beside:
         return ()
     said = some_of([f"{title_of(d, name)} {probability_text(p)}" for name, p in d.beside.items()])
@@ -269,7 +268,7 @@ def _beside(d: Diagnosis) -> tuple[str, ...]:
 
 
 def _alike(d: Diagnosis) -> tuple[str, ...]:
-    """The causes that frequencies cannot tell from the one that is named."""
+    """Causes that the frequencies cannot distinguish from the named one."""
     cause = next((c for c in d.causes if c.name in d.claim.causes), None)
     if d.claim.kind != "named" or cause is None or not cause.indistinguishable_from:
         return ()
@@ -279,7 +278,7 @@ def _alike(d: Diagnosis) -> tuple[str, ...]:
 
 
 def _seen(d: Diagnosis) -> tuple[str, ...]:
-    """The smallest forgotten mass, or of the error that shows best, that would have been seen."""
+    """The smallest detectable forgotten mass, or else the error with the lowest detection limit."""
     if d.claim.kind not in (NONE, "undecided"):
         return ()
     rows = [row for row in detectable_rows(d) if row.probability is not None]
@@ -297,7 +296,7 @@ def _seen(d: Diagnosis) -> tuple[str, ...]:
 
 
 def _left_out(d: Diagnosis) -> tuple[str, ...]:
-    """The frequencies that the pairing of an incomplete list gives no mode."""
+    """Frequencies to which the pairing of an incomplete list assigns no mode."""
     if d.claim.kind != NONE:
         return ()
     what = (
@@ -312,7 +311,7 @@ def _left_out(d: Diagnosis) -> tuple[str, ...]:
 
 
 def _contained(d: Diagnosis, plates: Sequence[Specimen]) -> tuple[str, ...]:
-    """Errors of size, mass and scale inside the intervals, once where all plates are alike."""
+    """Errors of size, mass and scale contained in the intervals, once if equal for all plates."""
     said = [_contained_of(d, specimen) for specimen in plates]
     if len(set(said)) == 1:
         return (said[0],)
@@ -337,12 +336,12 @@ def _contained_of(d: Diagnosis, specimen: Specimen) -> str:
 
 
 def shown_constants(d: Diagnosis) -> list[str]:
-    """The constants that the frequencies say something of."""
+    """Constants that are not decided by the prior alone."""
     return [c.name for c in answer_constants(d) if c.verdict is not Verdict.PRIOR]
 
 
 def sensitivity_sentence(d: Diagnosis) -> str:
-    """The dependence of the claim on the scales of the priors."""
+    """Dependence of the claim on the scales of the priors."""
     inferred = d.weighed.none.marginal.comparison.noise is not None
     what = "errors and noise" if inferred else "errors"
     if d.sensitivity.claim_stands:
@@ -356,7 +355,7 @@ def sensitivity_sentence(d: Diagnosis) -> str:
 
 
 def _short(d: Diagnosis, claim: Claim, probability: Mapping[str, float]) -> str:
-    """A claim in a few words; probability : of every cause, with its prior."""
+    """A claim in a few words; probability : of every cause, under those priors."""
     if claim.kind == NONE:
         return "no evidence of an error"
     if claim.kind == "undecided":
@@ -367,7 +366,7 @@ def _short(d: Diagnosis, claim: Claim, probability: Mapping[str, float]) -> str:
 
 
 def next_steps(result: DiagnosisResult) -> tuple[str, ...]:
-    """Next steps, the most useful first: mend the list, check what is claimed, or measure more."""
+    """Next steps, the most useful first: correct the list, check what is claimed, or measure more."""
     d, constants = result.diagnosis, answer_constants(result.diagnosis)
     steps = [step for plate in result.plates for step in mismatch_step(plate, result.notices)]
     if d.claim.kind == OTHER:
@@ -391,7 +390,7 @@ def next_steps(result: DiagnosisResult) -> tuple[str, ...]:
 
 
 def checked_effects(d: Diagnosis) -> tuple[Effect, ...]:
-    """The effects that the laboratory should check: those claimed, or the probable ones where none is."""
+    """Effects for the laboratory to check: those claimed, or else the probable ones."""
     if d.claim.kind == NONE:
         return ()
     names = list(d.claim.causes)
@@ -402,7 +401,7 @@ def checked_effects(d: Diagnosis) -> tuple[Effect, ...]:
 
 
 def _further_test(candidates: Sequence[Candidate]) -> tuple[tuple[str, ...], bool]:
-    """The test that most probably decides which cause it is, and whether it probably does."""
+    """The test most likely to decide between the causes, and whether it probably does."""
     if not candidates:
         return (), False
     best = max(candidates, key=lambda c: c.decided)
@@ -413,7 +412,7 @@ def _further_test(candidates: Sequence[Candidate]) -> tuple[tuple[str, ...], boo
 
 
 def scale_errors_of(d: Diagnosis, specimen: Specimen) -> tuple[ScaleError, ...]:
-    """Errors by the sizes, the mass and the frequency scale of one plate, at the constants of the answer."""
+    """Errors of the constants by sizes, mass and frequency scale of one plate, at the answer."""
     case = next(case for case in d.cases if case.models.specimen is specimen)
     models, paired = case.models, np.flatnonzero(case.modes >= 0)
     found = {c.name: c.value for c in answer_constants(d)}
@@ -425,7 +424,7 @@ def scale_errors_of(d: Diagnosis, specimen: Specimen) -> tuple[ScaleError, ...]:
 
 
 def beyond_theory(result: DiagnosisResult) -> Iterator[Notice]:
-    """Notices of sandwiches whose core is so soft that the error of the theory may be taken for a cause."""
+    """Notices of sandwiches whose core is so soft that the error of plate theory may look like a cause."""
     rows = result.plain.frequencies
     for specimen in result.plates:
         modes = [row.mode for row in rows if row.plate == specimen.name and row.mode is not None]

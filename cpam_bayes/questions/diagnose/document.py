@@ -1,4 +1,4 @@
-"""A diagnosis in the units and words of a workshop: its rows, its short texts, and the JSON document."""
+"""A diagnosis in workshop units and words: its rows, short texts, and JSON document."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ Moments = tuple[float, float, float, float]
 """Mean, standard deviation, 2.5 % and 97.5 % quantile."""
 
 _SCALES: Final = ("scales_times_3", "scales_divided_by_3")
-"""Keys of the answers with other scales of the priors."""
+"""Keys of the answers with rescaled priors."""
 FEW: Final = 3
-"""Names that a sentence lists at most."""
-# A standard deviation that is a smaller fraction of its mean is none.
+"""Most names listed in a sentence."""
+# A standard deviation below this fraction of its mean is not shown.
 _UNSURE: Final = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class DiagnosisResult(PlatesResult):
-    """Causes weighed against each other, the claim, the extended model and its gain.
+    """Weighed causes, the claim, the extended model and its gain.
 
     Attributes
     ----------
     diagnosis : claim, causes with their probabilities, both fits, gain
     air_shifts : for each plate, see `PlateResult.air_shifts`
     plain, extended : each measured frequency with its mode; extended is None where nothing is claimed
-    mode_shapes : of each plate, u, v, w on a regular grid, (n_modes, 3, n, n), by the plain model where it
-        is most probable
+    mode_shapes : for each plate, u, v, w on a regular grid, (n_modes, 3, n, n), by the plain model at its
+        most probable constants
     scatter : relative standard deviation of a constant from plate to plate
     candidates : further tests, the most informative first
     """
@@ -73,12 +73,12 @@ class DiagnosisResult(PlatesResult):
 
     @property
     def causes(self) -> tuple[str, ...]:
-        """The names claimed."""
+        """Names of the claimed causes."""
         return self.diagnosis.claim.causes
 
     @property
     def probability(self) -> float:
-        """The probability of the claim."""
+        """Probability of the claim."""
         return self.diagnosis.claim.probability
 
 
@@ -101,7 +101,7 @@ class DetectableRow:
 
 
 def detectable_rows(d: Diagnosis) -> tuple[DetectableRow, ...]:
-    """Detection limits of all causes that were tested, in the units of a workshop."""
+    """Detection limits of all tested causes, in workshop units."""
     titles = titles_of(cause.hypothesis for cause in d.causes)
     rows = []
     for entry in d.detectable:
@@ -116,14 +116,14 @@ def detectable_rows(d: Diagnosis) -> tuple[DetectableRow, ...]:
 
 
 def titles_of(hypotheses: Iterable[Hypothesis]) -> dict[str, str]:
-    """Name of a single cause -> the cause in words, of the catalogue and of what is tested."""
+    """Name of a single cause -> its title, from the catalogue and the hypotheses."""
     tested = (effect for hypothesis in hypotheses for effect in hypothesis.records)
     effects = {effect.name: effect.title for effect in (*CATALOGUE, *tested)}
     return effects | {NONE: "nothing wrong", OTHER: "an unknown error"}
 
 
 def leading(d: Diagnosis, least: float, most: int) -> tuple[Cause, ...]:
-    """The causes to show: the most probable, and none and other wherever they stand."""
+    """Causes to show: the most probable ones, and always none and other."""
     shown = []
     for rank, cause in enumerate(d.causes):
         if cause.name in (NONE, OTHER) or (rank < most and (cause.probability >= least or rank < 6)):
@@ -138,13 +138,13 @@ def some_of(names: Sequence[str]) -> str:
 
 
 def title_of(d: Diagnosis, name: str) -> str:
-    """A cause in words; a pair with both."""
+    """Title of a cause; a pair has both."""
     titles = titles_of(cause.hypothesis for cause in d.causes)
     return " and ".join(titles.get(part, part) for part in causes_in(name))
 
 
 def probability_text(p: float) -> str:
-    """A probability with as many digits as it is worth."""
+    """A probability with two or three decimals."""
     if p < 0.0005:
         return "< 0.001"
     return "> 0.999" if p > 0.9995 else fixed(p, 3 if p < 0.1 or p > 0.9 else 2)
@@ -158,7 +158,7 @@ def detectable_size(row: DetectableRow) -> str:
 
 
 def size_text(cause: Cause, effects: Sequence[Effect] | None = None) -> str:
-    """Sizes of a cause, mean and sd with their unit; effects : of a pair, those that are meant."""
+    """Sizes of a cause, mean and sd with unit; effects : of a pair, those to show."""
     chosen = cause.hypothesis.records if effects is None else effects
     names = {p.name for e in chosen for p in e.sizes}
     sizes = []
@@ -171,7 +171,7 @@ def size_text(cause: Cause, effects: Sequence[Effect] | None = None) -> str:
 
 
 def place_text(cause: Cause, plate: Plate) -> str:
-    """Where it is, mm, and what else is known of it; "" for a cause without a place."""
+    """Place of a cause, mm, and its other coordinates; "" for a cause without a place."""
     found = []
     place = place_of(cause, plate)
     if place is not None:
@@ -192,9 +192,9 @@ _WORDS: Final = {"gyration": "radius of gyration"}
 def place_of(
     cause: Cause, plate: Plate, effect: Effect | None = None
 ) -> tuple[tuple[float, float], tuple[float, float]] | None:
-    """Where a cause of one place is, x and y with their standard deviations, m; None for other causes.
+    """Place of a cause, x and y with their standard deviations, m; None for a cause without a single place.
 
-    effect : the one of the cause's that is meant, the first of one place if None
+    effect : one of the cause's effects; if None the first that has a place
     """
     names = _place_names(cause, effect)
     if not names:
@@ -205,7 +205,7 @@ def place_of(
 
 
 def places_of(d: Diagnosis, cause: Cause, effect: Effect | None = None) -> tuple[tuple[float, float], ...]:
-    """The place of an effect of a cause and those that no frequency tells from it, m; none without a place.
+    """Place of an effect and its images, which no frequency distinguishes, m; empty without a place.
 
     effect : as in `place_of`
     """
@@ -221,7 +221,7 @@ def places_of(d: Diagnosis, cause: Cause, effect: Effect | None = None) -> tuple
 
 
 def _place_names(cause: Cause, effect: Effect | None = None) -> tuple[str, ...]:
-    """The parameters that are x and y of an effect that may be anywhere, the first if None is named."""
+    """Names of the x and y parameters of an effect that may be anywhere, the first one if None."""
     anywhere = (e for e in cause.hypothesis.records if e.is_anywhere and effect in (None, e))
     return next((tuple(p.name for p in e.coordinates[:2]) for e in anywhere), ())
 
@@ -235,12 +235,12 @@ def _with_unit(parameter: Parameter, mean: float, sd: float) -> str:
 
 
 def answer_constants(d: Diagnosis) -> tuple[Constant, ...]:
-    """The answer: the constants that all plates share, averaged over all hypotheses."""
+    """The answer: the constants shared by all plates, averaged over all hypotheses."""
     return _constants_of(d, d.averaged, explained=d.explained)
 
 
 def fit_constants(d: Diagnosis, fit: Fit) -> tuple[Constant, ...]:
-    """The constants that all plates share, by one fit."""
+    """The constants shared by all plates, from one fit."""
     return _constants_of(d, fit.constants, explained=_explained(d, fit))
 
 
@@ -289,7 +289,7 @@ def _constants_of(d: Diagnosis, moments: Mapping[str, Moments], *, explained: bo
 
 
 def _nuisance_of(d: Diagnosis, fit: Fit) -> dict[str, tuple[float, float]]:
-    """Sizes and deviations from plate to plate, mean and sd: sizes in the plate file's unit and name."""
+    """Mean and sd of sizes and plate-to-plate deviations, sizes with plate-file unit and name."""
     constants = {c.name for c in fit_constants(d, fit)}
     nuisance = {}
     for name, (mean, sd, _, _) in fit.constants.items():
@@ -306,20 +306,20 @@ def _nuisance_of(d: Diagnosis, fit: Fit) -> dict[str, tuple[float, float]]:
 
 
 def catalogue_sd(cause: Cause) -> float:
-    """One standard deviation of the catalogue of a cause's first parameter, in the unit it is shown in."""
+    """One catalogue standard deviation of a cause's first parameter, in its display unit."""
     parameter = cause.hypothesis.parameters[0]
     return float(f"{scale_of(parameter) * parameter.display[1]:.6g}")
 
 
 def absorbed_biases(d: Diagnosis, cause: Cause) -> tuple[float, str, dict[str, float]]:
-    """Bias of the constants by a cause that is not modelled, to first order.
+    """First-order bias of the constants by a cause that is not modelled.
 
-    Size of the effect and its unit as shown, and by constant its change in % per one of that unit.
+    Size of the effect and its unit as shown, and by constant the change in % per unit.
     """
     parameter, *_ = cause.hypothesis.parameters
     mean, sd, _ = cause.parameters[parameter.name]
     shown, factor = parameter.display
-    # the size that the signature was taken at
+    # the size at which the signature was taken
     size = float(np.hypot(mean, sd)) * (-1.0 if mean < 0.0 else 1.0) * factor
     unknowns = {name for case in d.cases for name in case.models.specimen.unknowns.names}
     names = [n for n in cause.bias if n in unknowns]
@@ -340,7 +340,7 @@ _CONSTANT: Final = (
 
 
 def _paired(value: Callable[[FrequencyRow], float]) -> Callable[[FrequencyRow], float | None]:
-    """A value of a frequency that is a mode of the plate, None for another one."""
+    """A value of a frequency that is paired with a mode, else None."""
     return lambda row: None if row.predicted is None else value(row)
 
 
@@ -449,7 +449,7 @@ def _size(parameter: Parameter, cause: Cause) -> dict[str, Any]:
 
 
 def tables(result: DiagnosisResult) -> tuple[Rows, ...]:
-    """The tables of a diagnosis for CSV files and data frames, the hypotheses first."""
+    """Tables of a diagnosis for CSV files and data frames, hypotheses first."""
     d = result.diagnosis
     fit = result.plain if result.extended is None else result.extended
     return (
@@ -463,7 +463,7 @@ def tables(result: DiagnosisResult) -> tuple[Rows, ...]:
 
 
 def taken_peaks(result: DiagnosisResult) -> Rows:
-    """Candidate peaks with what each was taken for; empty for lists and for several plates."""
+    """Candidate peaks with their modes; empty for lists and for several plates."""
     fit = result.plain if result.extended is None else result.extended
     several = len(result.plates) > 1
     rows = (
@@ -552,7 +552,7 @@ def _extended(result: DiagnosisResult) -> dict[str, Any] | None:
 def _fit(
     d: Diagnosis, fit: Fit, members: Sequence[tuple[Tested, float]], paired: PairedFit
 ) -> dict[str, Any]:
-    """One fit; the plates one by one too where there are several."""
+    """One fit; for several plates also by plate."""
     rows = paired.frequencies
     noise = inferred_noise(members)
     keys: dict[str, Any] = {
@@ -574,7 +574,7 @@ def _fit(
 
 
 def _plate(d: Diagnosis, fit: Fit, i: int, rows: Sequence[FrequencyRow]) -> dict[str, Any]:
-    """One plate of several; the evidence is that of all lists, which share the constants."""
+    """One plate of several; the evidence is of all lists together, which share the constants."""
     name = d.cases[i].name
     plate_rows = [row for row in rows if row.plate == name]
     squares = [row.residual_percent**2 for row in plate_rows if row.residual_percent is not None]
@@ -627,7 +627,7 @@ def _absorbed(d: Diagnosis, cause: Cause) -> dict[str, Any]:
 
 
 def _priors(d: Diagnosis) -> dict[str, Any]:
-    """Prior probabilities of families and causes, and the priors of the effects' sizes."""
+    """Prior probabilities of families and causes, and the priors of effect sizes."""
     families: dict[str, dict[str, float]] = defaultdict(lambda: defaultdict(float))
     effects: dict[str, dict[str, Any]] = {}
     of_sets = 0.0
@@ -650,7 +650,7 @@ def _priors(d: Diagnosis) -> dict[str, Any]:
 
 
 def _effect_prior(p: Parameter) -> dict[str, Any]:
-    """The prior of a size: of its tolerance, and of the gross error that it may be."""
+    """The prior of a size: its tolerance, and its gross error if it has one."""
     unit, factor = p.display
     (_, tolerance), *gross = p.prior.parts
     return {
@@ -665,5 +665,5 @@ def _effect_prior(p: Parameter) -> dict[str, Any]:
 
 def _density(prior: Prior, factor: float) -> dict[str, Any]:
     numbers = prior.describe(lambda value: factor * value)
-    # a density about zero by its scale before the cut, any other by its standard deviation
+    # a density about zero by its scale before truncation, any other by its standard deviation
     return {"kind": numbers.kind, "scale": numbers.sd if numbers.centre else numbers.scale}

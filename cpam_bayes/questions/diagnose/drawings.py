@@ -1,4 +1,4 @@
-"""Drawings of a diagnosis: what was found on the plate, the fit of each mode, causes, limits, constants."""
+"""Drawings of a diagnosis: findings on the plate, fit of each mode, causes, limits, constants."""
 
 from __future__ import annotations
 
@@ -54,12 +54,12 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 _BARS: Final = 12
-# Degrees by which a small angle is drawn, and standard deviations of a place that its ellipse holds.
+# Minimum drawn angle, degrees, and standard deviations spanned by the ellipse of a place.
 _SHOWN_DEG, _ELLIPSE_SD = 5.0, 2.0
 
 
 def drawings(result: DiagnosisResult) -> tuple[Drawing, ...]:
-    """All drawings: the plate with what was found, the fit of each mode, then the evidence."""
+    """All drawings: the plate with the findings, the fit of each mode, then the evidence."""
     d = result.diagnosis
     drawn = [_plate(result), _residuals(result), _causes(d)]
     if len(_with_signatures(d)) > 1:
@@ -76,7 +76,7 @@ def _names(d: Diagnosis) -> str:
 
 
 def _plate(result: DiagnosisResult) -> Drawing:
-    """The plates, with what was found drawn on those that have it."""
+    """The plates, with the claimed causes drawn on those that have them."""
     d, plain = result.diagnosis, plate_caption(result.plates)
     found = _claimed(d)
     if not found:
@@ -88,7 +88,7 @@ def _plate(result: DiagnosisResult) -> Drawing:
 
 
 def _claimed(d: Diagnosis) -> tuple[Cause, ...]:
-    """The causes that are claimed: one, the members of a class, or a set."""
+    """The claimed causes: one, the members of a class, or a set."""
     if d.claim.kind == "pair":
         return (d.several,)
     if d.claim.kind in ("named", "class"):
@@ -97,7 +97,7 @@ def _claimed(d: Diagnosis) -> tuple[Cause, ...]:
 
 
 def _draw_found(result: DiagnosisResult, found: Sequence[Cause], axes: Axes, i: int) -> None:
-    """Marks of what was found on the i-th plate, millimetres."""
+    """Marks of the claimed causes on the i-th plate, mm."""
     d, plate = result.diagnosis, result.plates[i].plate
     texts = []
     for cause in found:
@@ -119,7 +119,7 @@ def _draw_found(result: DiagnosisResult, found: Sequence[Cause], axes: Axes, i: 
 
 
 def _draw_place(axes: Axes, d: Diagnosis, cause: Cause, effect: Effect, plate: Plate) -> None:
-    """A mass as a dot, a patch by its extent, with the uncertainty of the place; its images are hollow."""
+    """A mass as a dot or a patch by its extent, with the ellipse of the place; image places are hollow."""
     from matplotlib.patches import Ellipse, Rectangle
 
     place = place_of(cause, plate, effect)
@@ -149,7 +149,7 @@ def _draw_place(axes: Axes, d: Diagnosis, cause: Cause, effect: Effect, plate: P
 
 
 def _draw_edges(axes: Axes, plate: Plate, edges: Sequence[int]) -> None:
-    """Some of the edges, by their numbers."""
+    """Highlight edges, given by number."""
     a, b = 1e3 * plate.length, 1e3 * plate.width
     ends = (((0, 0), (0, b)), ((0, a), (0, 0)), ((a, a), (0, b)), ((0, a), (b, b)))
     for i in edges:
@@ -157,7 +157,7 @@ def _draw_edges(axes: Axes, plate: Plate, edges: Sequence[int]) -> None:
 
 
 def _draw_corner(axes: Axes, effect: Effect, plate: Plate, facts: PlateFacts) -> None:
-    """The square that holds what is missing; hollow at the corners that no frequency tells apart."""
+    """The square of a missing corner; hollow at corners that no frequency distinguishes from it."""
     from matplotlib.patches import Rectangle
 
     assert effect.place is not None
@@ -170,7 +170,7 @@ def _draw_corner(axes: Axes, effect: Effect, plate: Plate, facts: PlateFacts) ->
 
 
 def _draw_angle(axes: Axes, cause: Cause, effect: Effect, plate: Plate) -> None:
-    """An angle, small ones enlarged: of the corners as a dashed outline, of plies as lines."""
+    """An angle, small ones enlarged: of the corners as a dashed outline, of plies as dashed lines."""
     a, b = 1e3 * plate.length, 1e3 * plate.width
     mean = cause.parameters[effect.parameters[0].name][0]
     angle = np.deg2rad(np.sign(mean or 1.0) * max(abs(mean), _SHOWN_DEG))
@@ -208,7 +208,7 @@ def _residual(row: FrequencyRow) -> str:
 
 
 def _residuals_figure(result: DiagnosisResult) -> Figure:
-    """Relative residuals of every frequency, a plate a row, its mode shape below it."""
+    """Relative residuals of every frequency, one row of panels per plate, with mode shapes below."""
     d, before = result.diagnosis, result.plain.frequencies
     after = None if result.extended is None else result.extended.frequencies
     names = list(dict.fromkeys(row.plate for row in before))
@@ -268,7 +268,7 @@ def _draw_residuals(
 
 
 def _bars(axes: Axes, x: Array, width: float, rows: Sequence[FrequencyRow], color: str, label: str) -> None:
-    """Residuals, each with two standard deviations of noise and prediction."""
+    """Bars of residuals, each with two standard deviations of noise and prediction."""
     y = np.array([0.0 if row.residual_percent is None else row.residual_percent for row in rows])
     sd = np.array([0.0 if row.predicted is None else _sd_percent(row) for row in rows])
     axes.bar(x, y, width, color=color, label=label)
@@ -280,7 +280,7 @@ def _sd_percent(row: FrequencyRow) -> float:
 
 
 def _limits(rows: Sequence[FrequencyRow]) -> tuple[float, float]:
-    """Limits of the axis of residuals, with room for the key; whiskers may be cut."""
+    """Axis limits of the residuals, with room for the legend; whiskers may be cut off."""
     shown = [row for row in rows if row.predicted is not None]
     largest = max((abs(row.residual_percent or 0.0) for row in shown), default=0.0)
     whisker = float(np.median([2.0 * _sd_percent(row) for row in shown])) if shown else 1.0
@@ -299,7 +299,6 @@ def _causes(d: Diagnosis) -> Drawing:
 
 
 def _causes_figure(d: Diagnosis) -> Figure:
-    """Probabilities of the leading causes, none and other among them."""
     shown = leading(d, 0.0, _BARS)
     figure = new_figure(7.0, 1.3 + 0.27 * len(shown))
     axes = figure.add_subplot()
@@ -326,18 +325,18 @@ def _causes_figure(d: Diagnosis) -> Figure:
 
 
 def _with_plates(d: Diagnosis, cause: Cause) -> str:
-    """The title of a cause, with the plates that have it where not all do."""
+    """The title of a cause, with its plates unless all have it."""
     some = len(d.cases) > 1 and len(cause.plates) < len(d.cases)
     return title_of(d, cause.name) + (f", {', '.join(cause.plates)}" if some else "")
 
 
 def _with_signatures(d: Diagnosis) -> list[str]:
-    """Single causes that leave something to be seen, the most probable first."""
+    """Single causes with a visible signature, the most probable first."""
     return [c.name for c in d.causes if c.name in d.signatures and not c.is_set and not c.absorbed]
 
 
 def _alike_together(d: Diagnosis) -> list[str]:
-    """Single causes that leave something to be seen, ordered so that those alike stand together."""
+    """Single causes with a visible signature, ordered so that similar ones are neighbours."""
     names = _with_signatures(d)
     ordered: list[str] = []
     while names:
@@ -358,7 +357,7 @@ def _signatures(d: Diagnosis) -> Drawing:
 
 
 def _signatures_figure(d: Diagnosis) -> Figure:
-    """Cosines between the causes' signatures, the constants projected out."""
+    """Cosines between the causes' signatures, with the constants projected out."""
     names = _alike_together(d)
     signatures = [d.signatures[name] for name in names]
     matrix = np.array([[cosine(a, b) for b in signatures] for a in signatures])
@@ -388,7 +387,7 @@ def _detectable(d: Diagnosis) -> Drawing:
 
 
 def _detectable_figure(d: Diagnosis) -> Figure:
-    """The smallest size of each cause that these data would have shown, in sd of its prior."""
+    """Detection limit of each cause, in sd of its prior."""
     from matplotlib.ticker import LogLocator, NullLocator
 
     rows = [row for row in detectable_rows(d) if row.probability is not None]
@@ -435,7 +434,7 @@ def _constants(d: Diagnosis) -> Drawing:
 
 
 def _constants_figure(d: Diagnosis) -> Figure:
-    """Means and 95 % intervals by the plain model and of the answer, a panel a constant."""
+    """Means and 95 % intervals by the plain model and of the answer, one panel per constant."""
     before, answer = {c.name: c for c in fit_constants(d, d.baseline)}, answer_constants(d)
     figure = new_figure(max(4.5, 1.5 * len(answer) + 0.6), 3.4)
     for axes, constant in zip(figure.subplots(1, len(answer), squeeze=False)[0], answer, strict=True):

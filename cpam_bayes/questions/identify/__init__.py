@@ -1,7 +1,7 @@
-"""Elastic constants of a plate from its measured frequencies: the question `identify`.
+"""The question `identify`: elastic constants of a plate from its measured frequencies.
 
-Two verbs answer it: `identify` by particle swarms, and `sample`, the posterior by emcee, which the command
-line calls ``identify --backend emcee``.
+Two functions answer it: `identify`, a point estimate by particle swarms, and `sample`, the posterior by
+emcee, on the command line ``identify --backend emcee``.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ __all__ = ["COMMAND", "JointResult", "PointResult", "SampledResult", "answered",
 
 Backend = Literal["pso", "emcee"]
 
-# Options that one back end alone has.
+# Options of one back end only.
 _OWN: Final[dict[Backend, tuple[str, ...]]] = {
     "pso": ("residuals", "swarms", "particles", "iterations", "scatter"),
     "emcee": ("steps", "store", "likelihood", "noise"),
 }
-# Shape of the noise -> its degrees of freedom.
+# Noise distribution -> degrees of freedom.
 _NOISE: Final = {"gaussian": float("inf"), "student-t": 4.0}
 
 
 def answered(
     plate: PlateLike, *, seed: int = 0, watch: Watch = SILENT, backend: Backend | None = None, **given: Any
 ) -> PointResult | SampledResult:
-    """The answer of a back end to the options that were given; None for one that was left out.
+    """The answer of one back end; an option that is None counts as left out.
 
-    backend : left out, the swarm, and emcee where modes may be missing
+    backend : if left out, the swarm, or emcee where the list may lack modes
     """
     if backend is None:
         plate = read_plate(plate)
@@ -64,7 +64,7 @@ def answered(
 def _answered(
     plate: PlateLike, *more: PlateLike, backend: Backend | None = None, **given: Any
 ) -> PointResult | JointResult | SampledResult:
-    """The answer for one plate, or the joint one for several, which the swarm alone gives."""
+    """The answer for one plate, or the joint answer for several, which only the swarm gives."""
     if not more:
         return answered(plate, backend=backend, **given)
     if backend == "emcee":

@@ -1,4 +1,4 @@
-"""The posterior of the constants of a plate, sampled by emcee from the swarm on: the verb `sample`."""
+"""The function `sample`: posterior of the constants by emcee, started from the particle swarm."""
 
 from __future__ import annotations
 
@@ -69,25 +69,25 @@ from cpam_bayes.running import SILENT, Watch, single_blas_thread
 
 Array = NDArray[Any]
 
-# Fraction of the search interval that counts as touching a bound.
+# Fraction of the search interval next to a bound in which a draw counts as touching it.
 _TOUCH = 0.01
-# Fraction of draws next to a bound that an even density over the interval would not put there.
+# Fraction of touching draws from which the posterior is in contact with a bound.
 _AT_BOUND = 0.05
-# A candidate peak of this probability, by its height, that is taken for no mode is told of.
+# Probability, by its height, of a candidate peak that is reported if no mode takes it.
 _STANDING = 0.9
-# Draws that predictions and laminate constants are averaged over.
+# Draws over which predictions and laminate constants are averaged.
 _PREDICTIVE_DRAWS = 1000
-# Of these the draws at which the basis is checked by full solves.
+# Draws among these at which the basis is checked by full solves.
 _CHECKED_DRAWS = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Marginal:
-    """Marginal posterior of one parameter, a constant, a size or the noise, SI.
+    """Marginal posterior of one parameter (constant, size or noise), SI.
 
     contraction : 1 - (sd / prior sd)^2
     at_lower, at_upper : shares of the draws within 1 % of the search interval of a bound
-    bound : the one that the posterior is in contact with, which then counts whatever the contraction
+    bound : the bound that the posterior touches; it matters whatever the contraction
     """
 
     mean: float
@@ -107,29 +107,29 @@ class SampledResult(PlateResult):
 
     Attributes
     ----------
-    posterior : what was sampled; ``posterior.log_prob`` takes parameter vectors
+    posterior : the sampled density; ``posterior.log_prob`` takes parameter vectors
     constants : name -> elastic constant in SI, its value the mean; `to_dict` and `to_dataframe` have the
         units of the plate file
-    sizes : name -> size or mass of the plate, or frequency scale, that is not exact, likewise
+    sizes : name -> inexact size or mass of the plate, or frequency scale, likewise
     marginals : name -> marginal posterior of every parameter, the noise among them
     predicted, predicted_sd : (n_modes,) posterior mean and sd of the model's frequencies, Hz
-    modes : the model's modes at the most probable draw
+    modes : modes of the model at the most probable draw
     shapes : of these modes, (n_modes, 3, n, n), u, v and w on a regular grid
-    pairing : of the measured frequencies with them
-    pairing_probability : (n,) of candidate peaks, of each in it; None of a list
+    pairing : of the measured frequencies with these modes
+    pairing_probability : (n,) probability of each candidate peak in the pairing; None for a list
     p_value : posterior predictive p-value of the sum of squared standardised residuals
     explained : whether the noise as stated explains the misfit
     laminate : name -> (mean, sd)
     error : relative error of the solver at the most probable draw, and of its basis at a few draws, in the
         modes that have a frequency
-    scale_errors : what errors of sizes, mass and frequency scale do to the constants
-    reliances : intervals that rest on the bounds or the prior of another constant
+    scale_errors : effect of errors of sizes, mass and frequency scale on the constants
+    reliances : intervals that depend on the bounds or the prior of another constant
     evidence : by importance sampling
     assessment : what determines the posterior and how it fits
     result : chains and diagnostics of the ensembles
-    seconds_sampling : of the ensembles, without the plate model, the swarm and what follows
-    by_shape : what measured shapes say of the modes at the reference constants, None without them
-    explained_by : slips of the plate file without which it fits, the most probable first
+    seconds_sampling : of the ensembles alone
+    by_shape : pairing by measured shapes at the reference constants, None without shapes
+    explained_by : slips of the plate file that explain its misfit, the most probable first
     """
 
     command: ClassVar[str] = "identify"
@@ -161,7 +161,7 @@ class SampledResult(PlateResult):
 
     @property
     def has_draws(self) -> bool:
-        """There are draws of a posterior."""
+        """True: a sampled posterior has draws."""
         return True
 
     def to_arviz(self) -> Any:
@@ -175,12 +175,12 @@ class SampledResult(PlateResult):
 
     @property
     def noise(self) -> tuple[str, Marginal] | None:
-        """Name and marginal posterior of the noise, None where the plate file states it."""
+        """Name and marginal posterior of the noise; None where the plate file states it."""
         return next(((n, m) for n, m in self.marginals.items() if n in NOISE_NAMES), None)
 
     @property
     def frequencies(self) -> tuple[FrequencyRow, ...]:
-        """One row for each measured frequency, Hz; nothing is predicted for one that belongs to no mode."""
+        """One row for each measured frequency, Hz; without a prediction where it belongs to no mode."""
         rows = []
         measured, of_pair = self.posterior.measurement.frequencies, self.pairing_probability
         for i, (f, j) in enumerate(zip(measured, self.pairing.mode, strict=True)):
@@ -195,12 +195,12 @@ class SampledResult(PlateResult):
         return tuple(rows)
 
     def texts(self) -> Mapping[str, str]:
-        """The plate file without the slip that explains the misfit, where it can be written."""
+        """The corrected plate file, without the slip that explains the misfit, where it can be written."""
         return corrected_texts(self.specimen, self.explained_by)
 
     @property
     def missed(self) -> tuple[FrequencyRow, ...]:
-        """Modes in the range of the measured frequencies that these lack."""
+        """Modes within the range of the measured frequencies that the list lacks."""
         modes = ((int(j), self.modes[j]) for j in self.pairing.missed)
         return tuple(
             FrequencyRow(None, float(self.predicted[j]), mode.kind, mode.label, j + 1) for j, mode in modes
@@ -208,7 +208,7 @@ class SampledResult(PlateResult):
 
     @property
     def ess_per_second(self) -> float:
-        """Effective samples of the worst parameter for each second of sampling."""
+        """Bulk effective sample size of the worst parameter per second of sampling."""
         return self.result.diagnostics.ess_bulk / self.seconds_sampling
 
 
@@ -227,17 +227,17 @@ def sample(
 ) -> SampledResult:
     """The posterior of the constants of a plate by emcee, started from the particle swarm.
 
-    The command is ``identify --backend emcee``; the point estimate by the swarm alone is `identify`.
+    On the command line ``identify --backend emcee``; the point estimate by the swarm alone is `identify`.
 
     Parameters
     ----------
     plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
-    likelihood : "relative" noise, in proportion to a frequency, or "absolute", one standard deviation in Hz
+    likelihood : "relative" noise, proportional to a frequency, or "absolute", one standard deviation in Hz
         for all modes, which is inferred: eq. (7)
     degrees_of_freedom : of Student-t noise; infinite for Gaussian noise
     settings : of the ensembles
-    store : a directory that keeps finished rounds; the same call goes on from there
-    watch : display of the progress; none where left out
+    store : directory of finished rounds, from which the same call resumes
+    watch : progress display; none if left out
 
     Raises
     ------
@@ -424,7 +424,7 @@ def _summarise(
 
 
 def left_out_peaks(measurement: Measurement, pairing: Pairing) -> tuple[Notice, ...]:
-    """Candidates that stand out as modes do, and that the model has no mode for: it may lack something."""
+    """Notice of candidate peaks that stand out like modes but have no mode in the model."""
     if measurement.mode_probability is None:
         return ()
     left = (pairing.mode < 0) & (measurement.mode_probability > _STANDING)
@@ -433,7 +433,7 @@ def left_out_peaks(measurement: Measurement, pairing: Pairing) -> tuple[Notice, 
 
 
 def _residuals(measurement: Measurement, predicted: Array, pairing: Pairing) -> Array:
-    """(n,) predicted / measured - 1, nan where a frequency belongs to no mode."""
+    """Residuals predicted / measured - 1 (n,), nan where a frequency belongs to no mode."""
     of_mode = np.where(pairing.mode < 0, np.nan, predicted[pairing.mode])
     return np.asarray(of_mode / measurement.frequencies - 1.0)
 
@@ -441,9 +441,9 @@ def _residuals(measurement: Measurement, predicted: Array, pairing: Pairing) -> 
 def _excess(
     measurement: Measurement, residuals: Array, n_fitted: int, noise: Marginal | None, *, inferred: bool
 ) -> tuple[float, tuple[Notice, ...]]:
-    """The misfit, relative, and what is said of it where it is more than noise.
+    """The relative rms misfit, and notices where it exceeds the noise.
 
-    residuals : (n,) of the mean, nan where a frequency belongs to no mode. noise : relative, if inferred.
+    residuals : (n,) at the mean, nan where a frequency belongs to no mode. noise : relative, if inferred.
     """
     known = residuals[np.isfinite(residuals)]
     misfit = float(np.sqrt(np.mean(known**2))) if known.size else 0.0
@@ -461,7 +461,7 @@ def _slips(
     *,
     is_named: bool,
 ) -> tuple[Notice, ...]:
-    """Likely slips that ruin the posterior; excess : of the misfit, is_named : whether it names a slip."""
+    """Notices of likely slips; excess : notices of the misfit, is_named : whether a slip is already named."""
     determined = {
         c.name: (c.value, c.sd)
         for c in constants.values()
@@ -484,7 +484,7 @@ def _scale_errors(
     pairing: Pairing,
     order: Array,
 ) -> tuple[ScaleError, ...]:
-    """Errors by the sizes, the mass and the frequency scale, at the most probable draw."""
+    """Errors of the constants by sizes, mass and frequency scale, at the most probable draw."""
     _, unknowns = required(specimen)
     values = model.parameters.mapping(best[: model.parameters.size])
     known = pairing.mode >= 0
@@ -499,7 +499,7 @@ def _scale_errors(
 
 
 def _reliances(posterior: Posterior, draws: Array, names: tuple[str, ...]) -> tuple[Reliance, ...]:
-    """Reliances of the elastic constants; draws : (m, n) of all parameters."""
+    """Reliances among the elastic constants; draws : (m, n) of all parameters."""
     kept = [posterior.parameters.names.index(name) for name in names]
     prior_sd = np.array([posterior.parameters[name].prior.sd for name in names])
     return reliances(names, np.atleast_2d(np.cov(draws[:, kept].T)), prior_sd)
@@ -538,7 +538,7 @@ def _constant(
     explained: bool,
     converged: bool,
 ) -> Constant:
-    """A constant, or a size; explained : whether the noise explains the misfit; converged : of the chains."""
+    """A constant or size; explained : whether noise explains the misfit; converged : the chains."""
     parameter, at_bound = posterior.parameters[name], marginal.bound is not None
     return Constant(
         name=name,
@@ -563,7 +563,7 @@ def _reference(specimen: Specimen, name: str) -> float:
 
 
 def _laminate(model: ReducedModel, x: Array) -> dict[str, tuple[float, float]]:
-    """Mean and sd of the flexural stiffness and constants over draws (m, n)."""
+    """Name -> mean and sd of a flexural stiffness or constant over draws x (m, n)."""
     state = model.full.operator.problem.state(model.parameters.mapping(x))
     stiffness = np.broadcast_to(state.stiffness(), (len(x), 8, 8))
     thickness = np.broadcast_to(state.thickness, len(x))
@@ -578,14 +578,14 @@ _PRIOR_DRAWS = 1000
 def inference_data(result: SampledResult) -> Any:
     """The posterior for arviz, an ``xarray.DataTree``, thinned by the autocorrelation time.
 
-    Chains are the ensembles, whose walkers are no chains of their own. Constants carry the names and units of
-    the plate file; the densities lp and log_prior are over SI units, on the whole basis. Groups: posterior;
-    prior, draws of it; sample_stats (lp); log_likelihood, by frequency over `mode`, as one number for a list
-    that may lack modes; log_prior, by parameter; posterior_predictive, prior_predictive and observed_data
-    over `mode`, of the frequencies that have one; constant_data, the plate's sizes and density. Attributes:
-    command, versions, plate, specimen, layup, edges, seed, hash of the problem, the likelihood; of the
-    material its symmetry and the constants that did not vary (JSON, as in the plate file); the repeatability
-    where it was given.
+    The chains are the ensembles; their walkers are not independent chains. Constants carry the names and
+    units of the plate file; the densities lp and log_prior are over SI units, on the whole basis. Groups:
+    posterior; prior, draws of it; sample_stats (lp); log_likelihood, by frequency over `mode`, or one number
+    for a list that may lack modes; log_prior, by parameter; posterior_predictive, prior_predictive and
+    observed_data over `mode`, for the frequencies that have one; constant_data, the plate's sizes and
+    density. Attributes: command, versions, plate, specimen, layup, edges, seed, hash of the problem, the
+    likelihood; the symmetry of the material and its fixed constants (JSON, as in the plate file); the
+    repeatability where it was given.
     """
     posterior, chains = result.posterior, thinned(result.result)
     names = posterior.parameters.names

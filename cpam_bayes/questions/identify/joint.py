@@ -1,4 +1,4 @@
-"""The constants that several lists share, tests of one plate or plates of one material: `identify A B`."""
+"""Joint identification: constants shared by tests of one plate or plates of one material, `identify A B`."""
 
 from __future__ import annotations
 
@@ -82,12 +82,12 @@ MAX_SCATTER: Final = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class JointResult(PlatesResult):
-    """The constants that several lists share.
+    """The constants shared by several lists.
 
     Attributes
     ----------
-    estimate : the constants, and the fit of every list
-    explained_by : of each plate, slips of its file without which its list fits, the most probable first
+    estimate : constants, and the fit of every list
+    explained_by : for each plate, slips of its file that explain its misfit, the most probable first
     """
 
     command: ClassVar[str] = "identify"
@@ -106,7 +106,7 @@ class JointResult(PlatesResult):
         return tuple(row for fit in self.estimate.fits for row in _rows(fit))
 
     def texts(self) -> Mapping[str, str]:
-        """The plate files without the slips that explain the misfit, numbered as the plates."""
+        """Corrected plate files, without the slips that explain the misfit, numbered as the plates."""
         each = enumerate(zip(self.plates, self.explained_by, strict=True), 1)
         files = (corrected_texts(plate, slips, f"corrected_{i}.toml") for i, (plate, slips) in each)
         return {name: text for file in files for name, text in file.items()}
@@ -120,7 +120,7 @@ def identify_jointly(
     scatter: float | None,
     watch: Watch,
 ) -> JointResult:
-    """One identification of several plates, see `identify`."""
+    """Joint identification of several plates, see `identify`."""
     scatter = SCATTER if scatter is None else scatter
     require_number("scatter", scatter, MAX_SCATTER)
     specimens = tuple(require_paired_list(require_supported(read_plate(p), NO_MESH)) for p in plates)
@@ -142,7 +142,7 @@ def identify_jointly(
             progress=shown.tick,
             notify=shown.notify,
         )
-    # a list that fits alone is not asked
+    # no slips are tried for a list that fits by itself
     tried = [
         with_slips(_excess(fit), with_references(of), fit.alone, watch.announce, slips)
         for fit, of, slips in zip(estimate.fits, specimens, known, strict=True)
@@ -166,7 +166,6 @@ def identify_jointly(
 
 
 def _excess(fit: ListFit) -> tuple[Notice, ...]:
-    """A misfit of one list that is more than noise."""
     if fit.noise_is_inferred:
         return _of_list(fit, misfit_slips(fit.noise))
     return _of_list(
@@ -179,7 +178,7 @@ def _of_list(fit: ListFit, notices: Iterable[Notice]) -> tuple[Notice, ...]:
 
 
 def _notices(estimate: JointEstimate) -> tuple[Notice, ...]:
-    """Reasons not to trust the constants: noise that no tap test has, solvers, soft cores."""
+    """Reasons to distrust the constants: noise too high for a tap test, solver error, soft cores."""
     found: list[Notice] = []
     constants = {c.name: c.value for c in estimate.constants}
     for fit in estimate.fits:
@@ -191,7 +190,7 @@ def _notices(estimate: JointEstimate) -> tuple[Notice, ...]:
 
 
 def _contradictions(result: JointResult) -> tuple[str, ...]:
-    """The check of the first plate file that contradicts itself."""
+    """Next step for the first plate file that contradicts itself, empty if none does."""
     each = (mismatch_step(plate, stated_slips(plate)) for plate in result.plates)
     return next((step for step in each if step), ())
 
@@ -217,7 +216,6 @@ _FIT: Final = (
 
 @present.register
 def _present(result: JointResult) -> Report:
-    """The constants once, the fit of every list, and what to do next."""
     estimate = result.estimate
     constants, fits = estimate.constants, Rows("lists", _FIT, estimate.fits, lambda fit: fit.misfit > 1.0)
     rows = result.frequencies
@@ -287,7 +285,6 @@ def _work(result: JointResult) -> Any:
 
 
 def _document(result: JointResult, fits: Rows, frequencies: Rows) -> dict[str, Any]:
-    """The JSON document, in units of the plate file."""
     estimate, names = result.estimate, list(result.constants)
     return {
         "command": result.command,
@@ -342,7 +339,7 @@ def _residuals(result: JointResult) -> Drawing:
 
 
 def _residuals_figure(result: JointResult) -> Figure:
-    """The residual of each frequency, a panel a list."""
+    """The residuals of each list in a panel."""
     fits = result.estimate.fits
     figure = new_figure(5.8, 1.8 * len(fits) + 0.6)
     for axes, fit in zip(np.ravel(figure.subplots(len(fits), 1, sharey=True)), fits, strict=True):

@@ -1,4 +1,4 @@
-"""The presentation of `identify --backend emcee`: a posterior, its sources, and its reliability."""
+"""The report of `identify --backend emcee`: the posterior, what determines it, and its reliability."""
 
 from __future__ import annotations
 
@@ -64,15 +64,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# A mode this many standard deviations from what the others predict is marked.
+# A mode farther than this from the prediction of the others, in standard deviations, is marked.
 _MAX_DISTANCE_SD: Final = 3.0
 # Smaller exponents are left out of a product.
 _SMALL: Final = 0.05
-# Diagnoses that a reader must not overlook.
+# Diagnoses of power scaling that mark a row as doubtful.
 _DOUBTFUL: Final = ("prior and data disagree", "prior is strong, likelihood weak", "likelihood is weak")
-# Shift of a mean, in sd, from which moving a bound is worth telling.
+# Smallest shift of a mean, in sd, that is reported for a moved bound.
 _TOLD: Final = 0.1
-# Below this share of D11 a bending-twisting stiffness is rounding.
+# A bending-twisting stiffness below this fraction of D11 is rounding error.
 _ROUNDING: Final = 1e-9
 
 _BLUE, _GREY, _ORANGE = "#4878a8", "#808080", "#c1440e"
@@ -80,7 +80,6 @@ _BLUE, _GREY, _ORANGE = "#4878a8", "#808080", "#c1440e"
 
 @present.register
 def _present(result: SampledResult) -> Report:
-    """The constants, how well the model fits, what the intervals contain, and what to do next."""
     specimen, assessment = result.specimen, result.assessment
     constants, sizes = tuple(result.constants.values()), tuple(result.sizes.values())
     use = [c.name for c in constants if not c.is_open]
@@ -159,7 +158,7 @@ def _present(result: SampledResult) -> Report:
 
 
 def _inferred(result: SampledResult) -> float | None:
-    """The inferred noise, relative to a typical frequency; None where the plate file states it."""
+    """Inferred noise relative to a typical frequency; None where the plate file states the noise."""
     if result.noise is None:
         return None
     name, marginal = result.noise
@@ -168,7 +167,7 @@ def _inferred(result: SampledResult) -> float | None:
 
 
 def _gaps(result: SampledResult) -> tuple[str, ...]:
-    """Modes without a frequency and frequencies without a mode, in one line."""
+    """Modes without a frequency and frequencies without a mode, as one line."""
     missed = [f"{m.label or m.kind} near {significant(m.predicted or 0.0, 4)} Hz" for m in result.missed]
     alone = [f"{row.measured:.6g} Hz" for row in result.frequencies if row.predicted is None]
     one, several = _MEASURED[result.pairing_probability is not None]
@@ -177,12 +176,11 @@ def _gaps(result: SampledResult) -> tuple[str, ...]:
     return (" ".join(said),) if said else ()
 
 
-# What was measured: frequencies of a list, or candidate peaks.
+# Words for a measured frequency: of a list, or of candidate peaks.
 _MEASURED: Final = (("frequency", "frequencies"), ("peak", "peaks"))
 
 
 def _steps(result: SampledResult, use: Sequence[str]) -> tuple[str, ...]:
-    """Next steps, the most useful first."""
     specimen = result.specimen
     mismatch = mismatch_step(specimen, result.notices, [row.label for row in result.frequencies])
     first = (
@@ -202,13 +200,13 @@ def _steps(result: SampledResult, use: Sequence[str]) -> tuple[str, ...]:
 
 
 def _longer_chains(result: SampledResult) -> tuple[str, ...]:
-    """What lets chains converge that did not: time, where that was up, or steps."""
+    """Next step for chains that did not converge: more time where the limit cut them, else more steps."""
     late = any(n.code == "time_up" and "cut_chains" in dict(n.facts["missing"]) for n in result.notices)
     return (f"allow more {'time: --time-limit S' if late else 'steps: --steps N'}.",)
 
 
 def _at_bounds(result: SampledResult) -> tuple[str, ...]:
-    """Constants whose posterior touches a bound, which then counts."""
+    """A sentence for each constant whose posterior touches a bound of its prior."""
     touching = ((name, result.marginals[name]) for name in result.constants)
     return tuple(
         f"{name}: {100 * max(m.at_lower, m.at_upper):.0f} % of the draws lie at its {m.bound} bound; a wider "
@@ -219,7 +217,7 @@ def _at_bounds(result: SampledResult) -> tuple[str, ...]:
 
 
 def _modes(result: SampledResult) -> Rows:
-    """The measured frequencies and the modes that the list lacks."""
+    """Rows of the measured frequencies and of the modes missing from the list."""
     rows, left = result.frequencies, result.assessment.left_out
     others = iter(
         LeftOut(-float(r / f), float(sd / f), float(leverage), float(standardised))
@@ -272,7 +270,7 @@ def _place(of_peaks: bool, m: ListedMode) -> str | None:
 
 
 def _laminate(laminate: Mapping[str, tuple[float, float]]) -> Table:
-    """D11 to D26, the engineering constants and nuxy, a line each."""
+    """Flexural stiffnesses D11 to D26, engineering constants and nuxy, mean +- sd, one line per unit."""
     small = _ROUNDING * abs(laminate["D11"][0])
     lines: dict[str, list[str]] = {"N m": [], "GPa": [], "": []}
     for name, (mean, sd) in laminate.items():
@@ -294,7 +292,7 @@ _COMBINATIONS: Final = (
 
 
 def _combinations_table(names: tuple[str, ...], combinations: Sequence[Combination]) -> Table:
-    """Products of constants, the best determined first, with their spread by data and by prior."""
+    """Combinations of constants, the best determined first, with their spread by data and by prior."""
     rows = tuple(
         (
             product_text(names, c),
@@ -327,12 +325,12 @@ def _decider(combination: Combination) -> str:
 
 
 def _percent(sd: float) -> str:
-    """A standard deviation of a logarithm."""
+    """The standard deviation of a logarithm in percent."""
     return f"{significant(100.0 * sd, 2)} %" if sd < 1.0 else "> 100 %"
 
 
 def _sensitivity_table(result: SampledResult) -> Table:
-    """The likelihood of each constant alone, and the share of prior and bounds."""
+    """Profile likelihood of each constant, and the sensitivity to prior, noise prior and bounds."""
     assessment = result.assessment
     by_name = {s.name: s for s in assessment.power_scaling}
     columns = (
@@ -358,7 +356,7 @@ def _sensitivity_table(result: SampledResult) -> Table:
 
 
 def _interval(profile: Profile) -> str:
-    """The 95 % region of a profile, in the unit of the plate file."""
+    """The 95 % region of a profile likelihood, in plate-file units."""
     gaps = "" if profile.parts == 1 else f" in {profile.parts} parts"
     if profile.lower_open and profile.upper_open:
         return f"anything{gaps}"
@@ -371,7 +369,7 @@ def _interval(profile: Profile) -> str:
 
 
 def _largest_shift(moved: tuple[MovedBound, ...], k: int) -> str:
-    """The largest shift of the mean of parameter k by a bound, ``-`` where it is small."""
+    """The largest shift of the mean of parameter k by a moved bound, ``-`` where it is small."""
     known = [m for m in moved if np.isfinite(m.shift[k])]
     if not known:
         return NOT_KNOWN
@@ -419,7 +417,6 @@ def _chains(result: SampledResult) -> Table:
 
 
 def _p_value(result: SampledResult) -> str:
-    """The p-value of the chains, and what it is the chance of."""
     said = f"{result.p_value:.2f}, the chance of residuals as large with the noise of the chains"
     if not result.posterior.noise_is_inferred:
         return f"{said}; small speaks against the plate model"
@@ -427,7 +424,7 @@ def _p_value(result: SampledResult) -> str:
 
 
 def _scores(result: SampledResult) -> list[tuple[str, str]]:
-    """The log score of modes left out, by importance sampling where that can be relied on."""
+    """Leave-one-out log scores: in closed form, and by importance sampling where that is reliable."""
     left_out, psis = result.assessment.left_out, result.assessment.importance
     closed = f"log score {left_out.log_score:.1f} in closed form"
     if left_out.basis == "optimum":
@@ -451,7 +448,7 @@ def _evidence(result: SampledResult) -> str:
 
 
 def _drawings(result: SampledResult, modes: Rows) -> tuple[Drawing, ...]:
-    """Marginals first, then pairs, modes left out, mode shapes."""
+    """Marginals and profiles, then pairs, modes left out, mode shapes."""
     constants = listed([p.name for p in result.assessment.profiles], "and")
     rows = [m.row for m in modes.rows if m.left_out is not None]
     title, draws = result.specimen.name, _draws(result)
@@ -498,7 +495,7 @@ def _drawings(result: SampledResult, modes: Rows) -> tuple[Drawing, ...]:
 
 
 def _draws(result: SampledResult) -> Draws:
-    """The draws that are drawn: without sizes of which the file states no sd, which are as assumed."""
+    """Draws to be plotted, without sizes whose sd the file does not state: these are as assumed."""
     stated = {name: c.reference for name, c in (*result.constants.items(), *result.sizes.items())}
     every = result.posterior.parameters.parameters
     of_plate = result.specimen.plate.sd
@@ -513,7 +510,7 @@ def _draws(result: SampledResult) -> Draws:
 
 
 def _left_out_figure(result: SampledResult, modes: Rows) -> Figure:
-    """Each frequency against the posterior and against what the other modes predict; its leverage."""
+    """Each frequency against its posterior and its leave-one-out prediction; its leverage."""
     rows: list[ListedMode] = [m for m in modes.rows if m.left_out is not None]
     names = [f"{m.row.number}\n{m.row.label}" for m in rows]
     x = np.arange(len(rows))

@@ -1,4 +1,4 @@
-"""The JSON document of a sampled posterior: constants, frequencies, what decides them, and the chains."""
+"""The JSON document of a sampled posterior: constants, frequencies, what determines them, and the chains."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from cpam_bayes.render.report import Rows, laminate_unit, plate_keys
 
 
 class LeftOut(NamedTuple):
-    """A frequency predicted from all the others.
+    """Leave-one-out prediction of one frequency, from all the others.
 
     residual : predicted / measured - 1. sd : of prediction and noise together, relative. leverage : fraction
-    of the frequency in its own prediction. standardised : the residual in standard deviations.
+    of the frequency in its own prediction. standardised : residual in standard deviations.
     """
 
     residual: float
@@ -30,14 +30,14 @@ class LeftOut(NamedTuple):
 
 
 class ListedMode(NamedTuple):
-    """A measured frequency, or a mode that the list lacks, with what the other frequencies predict for it."""
+    """A measured frequency, or a mode missing from the list, with its leave-one-out prediction."""
 
     row: FrequencyRow
     left_out: LeftOut | None
 
 
 def sampled_document(result: SampledResult, modes: Rows) -> dict[str, Any]:
-    """The JSON document of `identify` by sampling."""
+    """The JSON document of `identify --backend emcee`."""
     noise = result.noise
     return {
         **plate_keys(result.command, result.seed, result.specimen),
@@ -85,7 +85,7 @@ def sampled_document(result: SampledResult, modes: Rows) -> dict[str, Any]:
 
 
 def _fields(record: Any, *names: str) -> dict[str, Any]:
-    """Fields of a record that the document has by the same names."""
+    """Fields of a record that keep their names in the document."""
     return {name: getattr(record, name) for name in names}
 
 

@@ -1,4 +1,4 @@
-"""Constants of a plate, and unknown ply angles, as a point estimate: the verb `identify`."""
+"""The function `identify`: point estimates of constants and unknown ply angles by particle swarms."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ if TYPE_CHECKING:
 
 Estimate = TypeVar("Estimate")
 
-# Draws of a posterior that is stored.
+# Draws of the stored posterior.
 _EVEN_DRAWS: Final = 2000
 RESIDUALS: Final = ("absolute", "relative", "whitened")
 
@@ -105,11 +105,11 @@ class PointResult(PlateResult):
 
     Attributes
     ----------
-    specimen : with the angles that were found, where some were unknown
+    specimen : with the angles found, where some were unknown
     estimate : the constants with their standard deviations, the fit, the swarm
     residuals : what was minimised, see `identify`
-    angles : the search of the unknown angles, None where all were known
-    explained_by : slips of the plate file without which it fits, the most probable first
+    angles : search for the unknown angles, None where all were known
+    explained_by : slips of the plate file that explain its misfit, the most probable first
     """
 
     command: ClassVar[str] = "identify"
@@ -121,21 +121,20 @@ class PointResult(PlateResult):
 
     @property
     def status(self) -> str:
-        """Either "converged", two swarms found the best optimum, or "budget".
+        """Either "converged", where two swarms found the best optimum, or "budget".
 
-        A single swarm has converged when its particles agree. Where angles were unknown, their search has to
-        have converged too.
+        A single swarm has converged when its particles agree. A search for angles must have converged too.
         """
         return self._decisive.status
 
     @property
     def message(self) -> str:
-        """The status in a sentence."""
+        """The status as a sentence."""
         return self._decisive.message
 
     @property
     def _decisive(self) -> SwarmResult:
-        """The search that the status is of."""
+        """The search that decides the status."""
         constants = self.estimate.swarm
         return constants if self.angles is None or constants.status != "converged" else self.angles.swarm
 
@@ -146,19 +145,19 @@ class PointResult(PlateResult):
 
     @property
     def optima(self) -> tuple[tuple[Optimum, dict[str, float]], ...]:
-        """The best optimum and those that the noise does not tell from it, with their constants, SI."""
+        """The best optimum and those the noise cannot distinguish from it, with their constants, SI."""
         names = [c.name for c in self.estimate.constants]
         return tuple((o, dict(zip(names, o.x.tolist(), strict=True))) for o in self.estimate.optima)
 
     @property
     def has_draws(self) -> bool:
-        """There are draws of a posterior, of whitened residuals."""
+        """True if there are posterior draws, which only whitened residuals give."""
         return self.estimate.draws is not None
 
     def to_arviz(self) -> Any:
         """Equally probable draws of the constants for arviz, one chain, as in ``posterior.nc``.
 
-        They are of the posterior about all optima, with the usual errors of sizes and mass.
+        From the posterior about all optima, with the usual errors of sizes and mass.
         """
         draws = self.estimate.draws
         if draws is None:
@@ -174,11 +173,11 @@ class PointResult(PlateResult):
         return arviz_data(self.command, self.specimen, self.seed, names, attributes, groups, dims, {})
 
     def texts(self) -> Mapping[str, str]:
-        """The plate file without the slip that explains the misfit, where it can be written."""
+        """The corrected plate file, without the slip that explains the misfit, where it can be written."""
         return corrected_texts(self.specimen, self.explained_by)
 
     def rms_of_optima(self) -> list[float]:
-        """Root mean square of the relative residuals at every optimum."""
+        """Root mean square of the relative residuals at each optimum."""
         if len(self.optima) < 2:
             return [self.estimate.rms] * len(self.optima)
         measurement, _ = required(self.specimen)
@@ -240,25 +239,25 @@ def identify(
 ) -> PointResult | JointResult:
     """Elastic constants of a plate by particle swarms, eq. (1), (2) and (7), polished by derivatives.
 
-    A single swarm may agree on a wrong optimum. Swarms are therefore run until two of them have found the
-    best optimum of all; the others that the noise does not tell from it are listed. Unknown ply angles are
-    searched with the constants by fuzzy swarms, eq. (3) to (5), in the same way, and then kept. The posterior
-    instead is `sample`, on the command line ``identify --backend emcee``.
+    A single swarm may converge to a wrong optimum. Swarms are therefore run until two of them have found the
+    best optimum of all; others that the noise cannot distinguish from it are listed. Unknown ply angles are
+    searched with the constants by fuzzy swarms, eq. (3) to (5), in the same way, and then fixed. For the
+    posterior see `sample`, on the command line ``identify --backend emcee``.
 
     Parameters
     ----------
     plate : a built-in name, a path, a table or a `Specimen`, see `read_plate`
     more : further plates of the material, or tests of the plate, which share the constants
-    residuals : what is minimised: squared "whitened" differences, over the scatter of noise, solver and
-        theory, the default: the constants are then those of the posterior about all optima, with the prior of
-        all verbs, and the usual errors of what [plate.sd] leaves out; several plates have these alone. Or
-        "absolute" ones in Hz, eq. (7), or "relative" ones, at whose optimum within the bounds of [unknowns]
-        the constants are linearised
-    swarms : swarms at most, three at least; 1 is the paper's single swarm as it ends, not polished
+    residuals : squares of these are minimised. "whitened", the default: over the scatter of noise, solver and
+        theory; the constants are then those of the posterior about all optima, with the same prior as in
+        every command, and the usual errors of what [plate.sd] leaves out; required for several plates.
+        "absolute", in Hz, eq. (7), or "relative": the constants are linearised at the optimum within the
+        bounds of [unknowns]
+    swarms : most swarms to run, at least three are; 1 is the paper's single swarm as it ends, not polished
     settings : particles, iterations and weights of each swarm
-    scatter : of several plates, relative standard deviation of a constant from plate to plate; 0.02 if left
+    scatter : for several plates, relative standard deviation of a constant from plate to plate; 0.02 if left
         out
-    watch : display of the progress; none where left out
+    watch : progress display; none if left out
 
     Raises
     ------
@@ -322,7 +321,7 @@ def identify(
     left = np.array([mode.frequency for mode in estimate.predicted]) / measurement.frequencies - 1.0
     excess = misfit_slips(misfit) or noise_slips(measurement, left, k)
     excess, explained_by = with_slips(excess, specimen, estimate.rms, watch.announce, known)
-    # what has its reference in its prior is not compared with it
+    # constants whose prior holds the reference are not compared with it: those from frequencies alone are
     determined = {
         c.name: (c.value, c.sd)
         for c in estimate.alone or estimate.constants
@@ -353,20 +352,19 @@ def identify(
     )
 
 
-# Of a residual as it is minimised, and the factor that makes it so.
+# Unit of a residual as minimised -> factor.
 _UNITS: Final = {"absolute": ("Hz", 1.0), "relative": ("%", 100.0), "whitened": ("sd", 1.0)}
 _MISFIT: Final = {
     "absolute": "sum of squared differences in Hz, eq. (7)",
     "relative": "sum of squared relative differences",
     "whitened": "sum of squared differences over what noise, solver and theory scatter",
 }
-# Below this share of D11 a bending-twisting stiffness is rounding.
+# A bending-twisting stiffness below this fraction of D11 is rounding error.
 _ROUNDING: Final = 1e-9
 
 
 @present.register
 def _present(result: PointResult) -> Report:
-    """The constants, how well the model fits, what the intervals contain, and what to do next."""
     estimate, specimen = result.estimate, result.specimen
     constants, plate = estimate.constants, specimen.plate
     frequencies, optima = _frequencies(result), _optima(result)
@@ -439,7 +437,6 @@ def _headline(result: PointResult) -> str:
 
 
 def _steps(result: PointResult, use: Sequence[str]) -> tuple[str, ...]:
-    """Next steps, the most useful first."""
     specimen = result.specimen
     plate = plate_argument(specimen)
     steps = [*mismatch_step(specimen, result.notices, [row.label for row in result.frequencies])]
@@ -460,7 +457,7 @@ def _steps(result: PointResult, use: Sequence[str]) -> tuple[str, ...]:
 
 
 class _OptimumRow(NamedTuple):
-    """A place of the constants, SI, that the noise leaves open; rms : of the relative residuals there."""
+    """Constants, SI, at an optimum that the noise cannot rule out; rms : of the relative residuals there."""
 
     values: Mapping[str, float]
     optimum: Optimum
@@ -473,7 +470,7 @@ def _frequencies(result: PointResult) -> Rows:
 
 
 def _optima(result: PointResult) -> Rows:
-    """Every optimum that the noise leaves open, the best one first: its constants, misfit and swarms."""
+    """Optima that the noise cannot rule out, the best first: constants, misfit and swarms."""
     size = required(result.specimen)[0].size
     unit, factor = _UNITS[result.residuals]
     constants = (
@@ -509,7 +506,6 @@ def _optima(result: PointResult) -> Rows:
 
 
 def _document(result: PointResult, frequencies: Rows, optima: Rows) -> dict[str, Any]:
-    """The JSON document, in units of the plate file."""
     estimate, specimen, angles = result.estimate, result.specimen, result.angles
     return {
         **plate_keys(result.command, result.seed, specimen),
@@ -574,7 +570,7 @@ def _fit(estimate: PointEstimate, residuals: Residual) -> Table:
 
 
 def _noise(estimate: PointEstimate, measurement: Measurement) -> str:
-    """The noise that the standard deviations stand on, and where it comes from."""
+    """The noise behind the standard deviations, and its source."""
     if not math.isfinite(estimate.noise):
         return "not known"
     level = f"{significant(100 * estimate.noise, 2)} % of a frequency"
@@ -611,7 +607,7 @@ def _search(result: PointResult) -> Table:
 
 
 def _drawings(result: PointResult) -> tuple[Drawing, ...]:
-    """The residuals first, then the fit, the modes, and the optima where there are several."""
+    """Residuals first, then the fit, the modes, and the optima where there are several."""
     estimate, rows = result.estimate, result.frequencies
     n = len(rows)
     each = "; ".join(f"frequency {row.number}: {signed(100.0 * (row.residual or 0.0), 2)} %" for row in rows)
@@ -658,7 +654,6 @@ def _drawings(result: PointResult) -> tuple[Drawing, ...]:
 
 
 def _pairs_figure(result: PointResult) -> Figure:
-    """Predicted against measured frequencies."""
     rows = result.frequencies
     measured = np.array([row.measured for row in rows])
     predicted = np.array([row.predicted for row in rows])
@@ -668,7 +663,7 @@ def _pairs_figure(result: PointResult) -> Figure:
     axes.plot(ends, ends, color="0.6", linewidth=1, label="predicted = measured")
     axes.plot(measured, predicted, "o", color=PREDICTED, markersize=6, label="modes")
     for i, (row, *at) in enumerate(zip(rows, measured.tolist(), predicted.tolist(), strict=True)):
-        # To the right and to the left in turn: close modes would write over each other.
+        # right and left in turn, so that labels of close modes do not overlap
         place, side = ((7, -8), "left") if i % 2 == 0 else ((-7, 3), "right")
         axes.annotate(
             row.label or "", (at[0], at[1]), place, textcoords="offset points", ha=side, fontsize="small"
@@ -680,7 +675,7 @@ def _pairs_figure(result: PointResult) -> Figure:
 
 
 def _residuals_figure(result: PointResult) -> Figure:
-    """The residual of each frequency, and the band of the noise."""
+    """The residual of each frequency, with the band of the noise."""
     estimate, rows = result.estimate, result.frequencies
     names = [f"{row.number}\n{row.label}".replace("+", "\n+") for row in rows]
     figure = new_figure(max(5.2, 0.8 * len(names)), 3.6)
@@ -700,7 +695,7 @@ def _residuals_figure(result: PointResult) -> Figure:
 
 
 def _optima_figure(result: PointResult) -> Figure:
-    """Where in its search interval each constant lies at every optimum that the noise leaves open."""
+    """Position of each constant in its search interval at every optimum that the noise cannot rule out."""
     constants = result.estimate.constants
     figure = new_figure(5.8, 0.55 * len(constants) + 1.9)
     axes = figure.add_subplot()

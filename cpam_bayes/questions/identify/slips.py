@@ -1,9 +1,9 @@
-"""Slips of a plate file that explain a gross misfit: hypotheses of the one density, with priors.
+"""Slips of a plate file that explain a gross misfit: hypotheses with priors in the density of `diagnose`.
 
-Sides exchanged, a layup turned by 90 degrees, the neighbouring edges held, clamps that are simple supports or
-the reverse, a free plate that was clamped at an edge or a held one that hung free, each as the plain model of
-another plate; the errors of a list as the catalogue has them, and a decimal point put wrong. They are weighed
-against no slip, and no slip with something left over that nothing explains, and claimed as causes are.
+Slips of the plate, each the plain model of another plate: sides exchanged, layup turned by 90 degrees,
+neighbouring edges held, clamps and simple supports exchanged, a free plate clamped at an edge, a held plate
+free. Slips of the list: the list errors of the catalogue, and a misplaced decimal point. They are weighed
+against no slip, and against no slip with an unexplained residual, and claimed by the rules for causes.
 """
 
 from __future__ import annotations
@@ -68,33 +68,33 @@ SlipKind: TypeAlias = Literal[
 GROSS: Final = 0.005
 """Relative misfit above which slips are tried."""
 _DECIMAL: Final = "decimal"
-# Causes of a list: its modes, a misreading, a decimal point.
+# Causes in the list: missed or false modes, a misreading, a decimal point.
 _OF_LIST: Final = 3
-# Slips that are named at most: three may be one spectrum.
+# At most this many slips are named: three may have the same spectrum.
 _MOST: Final = 3
-# Space on which other plates are tried, and the misfit, relative, of those that are worth a model.
+# Coarse space on which other plates are tried, and the relative misfit up to which one gets a model.
 _COARSE: Final = RitzSettings(10, 10, coupled=True)
 _IN_SIGHT: Final = 0.03
-# Places of a decimal point that was lost or put wrong.
+# Factors of a misplaced decimal point.
 _FACTORS: Final = (10.0, 100.0, 1000.0)
 _OTHERWISE_HELD: Final = str.maketrans("CS", "SC")
 # A key with its value, up to a comment.
 _VALUE: Final = re.compile(r"""[^=\n]*=\s*(\[(?:[^\]#]|#[^\n]*)*\]|"[^"\n]*"|'[^'\n]*'|[^#\s]+)""")
 _LISTED, _COMPLETE = ("measurement", "frequencies_hz"), ("measurement", "complete")
-# Keys that number the rows of the list.
+# Keys that refer to rows of the list by number.
 _NUMBERED: Final = (("measurement", "left_out"), ("measurement", "by_hand"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Slip:
-    """One slip, and the file without it.
+    """One slip, and the plate without it.
 
-    number : of the mode that is missed or of the frequency that is wrong, from 1; 0 for the plate
-    frequency : Hz, as listed, or as it should be for a wrong decimal point
+    number : of the missed mode or the wrong frequency, from 1; 0 for a slip of the plate
+    frequency : Hz, as listed; for a decimal point the corrected one
     corrected : the plate without the slip
     edits : (table, key) -> value of the corrected plate file
     rms : relative, of the corrected fit
-    probability : of all slips, none, and none with a leftover
+    probability : among all slips, no slip, and no slip with an unexplained residual
     """
 
     kind: SlipKind
@@ -107,9 +107,9 @@ class Slip:
 
 
 class _Weighed(NamedTuple):
-    """A hypothesis with its evidence: a slip, none, or what is not named; variants have one name.
+    """A hypothesis with its evidence: a slip, no slip, or an unexplained residual; variants share a name.
 
-    slip : None for none and for a leftover
+    slip : None for the two without a slip
     """
 
     name: str
@@ -123,7 +123,7 @@ class _Weighed(NamedTuple):
 
     @property
     def named(self) -> Slip | None:
-        """The slip with the misfit that it leaves."""
+        """The slip with the rms misfit that it leaves."""
         comparison, z = self.marginal.comparison, self.marginal.z[:1]
         left = comparison.residuals(comparison.predict(comparison.scores.to_x(z))[0])
         relative = (left - comparison.common_part(z)) / comparison.listed.frequencies
@@ -137,10 +137,10 @@ def with_slips(
     announce: Callable[[str], None],
     known: tuple[Slip, ...],
 ) -> tuple[tuple[Notice, ...], tuple[Slip, ...]]:
-    """Notices of a misfit with the slips that explain it, and these slips; tried where the misfit is gross.
+    """Notices of a misfit, amended by the slips that explain it, and these slips.
 
-    rms : relative, of the fit. announce : is told that slips are tried
-    known : as of `slips_where_unreachable`
+    rms : relative, of the fit; slips are tried above `GROSS`. announce : called before they are tried
+    known : slips from `slips_where_unreachable`
     """
     if not excess or rms <= GROSS or (not known and is_time_up()):
         return excess, ()
@@ -153,7 +153,7 @@ def with_slips(
 
 
 def slips_where_unreachable(specimen: Specimen) -> tuple[Slip, ...]:
-    """The slips of the plate file that explain first frequencies below all of the plate; empty without these.
+    """Slips that explain a first frequency below the reach of the plate; empty if it is reachable.
 
     Raises as `require_reachable` does where no slip explains them.
     """
@@ -168,7 +168,7 @@ def slips_where_unreachable(specimen: Specimen) -> tuple[Slip, ...]:
 
 
 def slip_records(slips: Iterable[Slip]) -> list[dict[str, Any]]:
-    """Slips as a JSON document lists them."""
+    """Slips as records of the JSON document."""
     return [
         {
             "slip": s.kind,
@@ -183,11 +183,11 @@ def slip_records(slips: Iterable[Slip]) -> list[dict[str, Any]]:
 
 @single_blas_thread
 def explaining_slips(specimen: Specimen) -> tuple[Slip, ...]:
-    """The slips that explain a list, the most probable first; empty where none does or too many may.
+    """Slips that explain a list, the most probable first; empty where none does or too many may.
 
-    Two are claimed together where they are one spectrum: a square cantilever with its layup turned, or held
-    at the neighbouring edge. Nothing is tried of several materials, of unknown angles, of frequencies whose
-    modes are labelled, or of lists that may lack modes; nothing is said where time is up before that is done.
+    Slips with the same spectrum are claimed together: a square cantilever with its layup turned, or held at
+    the neighbouring edge. Not tried for plates of several materials, unknown angles, labelled modes, or lists
+    that may lack modes; empty if time runs out first.
     """
     measurement, _ = required(specimen)
     is_tried = measurement.complete and not measurement.names_modes and specimen.plate.mesh is None
@@ -222,7 +222,7 @@ def explaining_slips(specimen: Specimen) -> tuple[Slip, ...]:
 
 
 def _of_list(specimen: Specimen, share: float) -> Iterator[_Weighed]:
-    """No slip, with a leftover too, and corrected lists, all with the model of the plate as it is stated."""
+    """Hypotheses with the plate as stated: no slip, an unexplained residual, and corrected lists."""
     measurement, _ = required(specimen)
     case = plate_case(specimen, is_rough=True)
     of_list = tuple(effect for effect in CATALOGUE if effect.pairings)
@@ -250,7 +250,7 @@ def _of_list(specimen: Specimen, share: float) -> Iterator[_Weighed]:
             name = h.cause if slip is None else f"{slip.kind} {slip.number}"
             yield _Weighed(name, slip, h.prior, t.marginal)
             continue
-        # a density of what was listed, not of what was meant
+        # the density is of the frequencies as listed, not as they were meant
         _, factor, slip = decimals[int(h.variant)]
         of_slip = (replace(case, measurement=required(slip.corrected)[0]),)
         marginal = marginal_of(of_slip, every[0], (0,), known=t.marginal.z, log2_draws=0)
@@ -259,7 +259,7 @@ def _of_list(specimen: Specimen, share: float) -> Iterator[_Weighed]:
 
 
 def _of_change(specimen: Specimen, change: ListChange) -> Slip | None:
-    """The slip of a list with an error, None for none."""
+    """The slip of a list error, None for no error."""
     measurement, _ = required(specimen)
     f = measurement.frequencies
     if change == ListChange():
@@ -269,17 +269,17 @@ def _of_change(specimen: Specimen, change: ListChange) -> Slip | None:
     i = change.misread[0] if change.spurious is None else change.spurious
     less = replace(specimen, measurement=measurement.of_rows(np.delete(np.arange(len(f)), i)))
     edits: dict[KeyPath, Any] = {_LISTED: np.delete(f, i).tolist()}
-    # a frequency that is the last mode leaves the list that a false one does
+    # dropping the last mode leaves the same list as dropping a false frequency
     if not change.misread and change.missed in ((), (len(f) - 1,)):
         return Slip("false", i + 1, float(f[i]), less, edits)
     return Slip("misread", i + 1, float(f[i]), less, {**edits, _COMPLETE: False})
 
 
 def _decimals(specimen: Specimen) -> Iterator[tuple[ListChange, float, Slip]]:
-    """Decimal points put wrong: without the frequency, by which factor it is corrected, and the slip."""
+    """Misplaced decimal points: the change of the list, the factor that corrects it, and the slip."""
     measurement, _ = required(specimen)
     f, n = measurement.frequencies, measurement.size
-    # in a list that ascends, a decimal point far off makes a frequency the first or the last
+    # lists ascend: a point misplaced by two places or more makes a frequency the first or the last
     ends = {0: _FACTORS[1:], n - 1: tuple(1.0 / factor for factor in _FACTORS[1:])}
     for i in range(n):
         for factor in (_FACTORS[0], 1.0 / _FACTORS[0], *ends.get(i, ())):
@@ -294,7 +294,7 @@ def _decimals(specimen: Specimen) -> Iterator[tuple[ListChange, float, Slip]]:
 
 
 def _with_models(tried: Sequence[Slip], share: float) -> Iterator[_Weighed]:
-    """Corrected plates, each the plain model of its own; share : prior probability of a kind."""
+    """Corrected plates, each by its own plain model; share : prior probability of a kind of slip."""
     none = Hypothesis(NONE, NONE, prior=P_NONE)
     for slip in tried:
         if is_time_up():
@@ -310,9 +310,9 @@ def _with_models(tried: Sequence[Slip], share: float) -> Iterator[_Weighed]:
 
 
 def _left_by_a_step(specimen: Specimen) -> float:
-    """Misfit that a Gauss-Newton step from the reference constants leaves, rms, relative.
+    """The relative rms misfit after one Gauss-Newton step from the reference constants.
 
-    Of the logarithms, with the priors of the constants, on a space that nothing was converged for.
+    In log frequency, with the priors of the constants, on a coarse space without convergence control.
     """
     f, parameters = required(specimen)[0].frequencies, constant_parameters(specimen)
     problem = plate_problem(specimen, parameters)
@@ -329,7 +329,7 @@ def _left_by_a_step(specimen: Specimen) -> float:
 
 
 def _plates(specimen: Specimen) -> Iterator[Slip]:
-    """Corrected plates."""
+    """Slips of the plate with the corrected plates."""
     for kind, plate, edits in _other_plates(specimen):
         yield Slip(kind, 0, 0.0, replace(specimen, plate=plate), edits)
 
@@ -350,7 +350,7 @@ def _other_plates(specimen: Specimen) -> Iterator[tuple[SlipKind, Plate, dict[Ke
             for name in other
         }
         yield "sides", replace(plate, length=plate.width, width=plate.length, sd=sd), edits
-    # of equal edges that is the same spectrum as sides exchanged, or as the plate itself, where it is bare
+    # with equal edges a turned layup has the spectrum of exchanged sides, or that of the plate, if it is bare
     if not specimen.material.isotropic and (specimen.sensors or not even):
         angles = np.array([a + 90.0 if a <= 0.0 else a - 90.0 for a in plate.layup.angles_deg])
         if not np.array_equal(angles, plate.layup.angles_deg):
@@ -365,7 +365,7 @@ def _other_plates(specimen: Specimen) -> Iterator[tuple[SlipKind, Plate, dict[Ke
     if plate.edges != ALL_FREE:
         yield "free", replace(plate, edges=ALL_FREE), {("plate", "edges"): ALL_FREE}
         return
-    # turned by 180 degrees a bare plate is itself
+    # a bare plate turned by 180 degrees is the same plate
     for i in range(len(EDGES) if specimen.sensors else len(EDGES) // 2):
         edges = ALL_FREE[:i] + "C" + ALL_FREE[i + 1 :]
         yield "clamped", replace(plate, edges=edges), {("plate", "edges"): edges}
@@ -374,16 +374,16 @@ def _other_plates(specimen: Specimen) -> Iterator[tuple[SlipKind, Plate, dict[Ke
 def corrected_texts(
     specimen: Specimen, slips: Sequence[Slip], name: str = "corrected.toml"
 ) -> dict[str, str]:
-    """The plate file without the most probable of its slips by its name; empty where it cannot be written."""
+    """The plate file without its most probable slip, by file name; empty where it cannot be written."""
     text = corrected_file(specimen, slips[0]) if slips else None
     return {} if text is None else {name: text}
 
 
 def corrected_file(specimen: Specimen, slip: Slip) -> str | None:
-    """The text of a plate file without a slip; None where the file lacks what is to be changed.
+    """Text of a plate file without a slip; None where the file lacks the key to be changed.
 
-    None too of a value that stands elsewhere than on the line of its key, and of a list that is changed and
-    whose rows are numbered elsewhere in the file.
+    None too where a value does not stand on the line of its key, and for a changed list whose rows other keys
+    number.
     """
     source = Path(specimen.source)
     if not source.is_file():
@@ -393,7 +393,7 @@ def corrected_file(specimen: Specimen, slip: Slip) -> str | None:
     if _LISTED in slip.edits and any(path in lines for path in _NUMBERED):
         return None
     begin = [0, *(end.end() for end in re.finditer("\n", text))]
-    # from the last line on, so that those before keep their places
+    # from the last line up, so that the offsets of earlier lines stay valid
     for path in sorted(slip.edits, key=lambda path: -lines.get(path, len(begin))):
         written = json.dumps(slip.edits[path])
         if path == _COMPLETE and path not in lines and _LISTED in lines:

@@ -1,6 +1,6 @@
-"""The paper's tables beside what this package computes: the question `paper`.
+"""The question `paper`: the paper's tables beside what this package computes.
 
-Finished computations are stored, one for each plate and choice of unknowns, and the rows are made from them.
+Finished computations are stored, one for each plate and choice of unknowns; the rows are made from them.
 """
 
 from __future__ import annotations
@@ -85,32 +85,31 @@ from cpam_bayes.storage import cache_directory
 
 __all__ = ["PaperResult", "compared", "computations", "paper", "tasks_of"]
 
-# Of a computation; what was packaged before has no fingerprint.
+# Stamp of a computation; packaged ones may lack a fingerprint.
 _STAMPED: Final = ("version", "fingerprint", "date", "seconds")
-# Thick plates take longest: they begin first, so that no worker starts one at the end, and their constants
-# before their noise, which needs a model that these build.
+# Thick plates take longest and run first, so that no worker is left with one at the end; their constants
+# precede their noise, which reuses the models.
 _LONGEST: Final = ("D4", "D3", "D1", "D2")
-# Work that takes up to hours, and what it is called.
+# Work that takes up to hours -> its title.
 _SLOW: Final = {
     "calculix": "CalculiX, 20-node bricks",
     "diagnoses": "diagnoses of the measured lists",
     "sequences": "posteriors over stacking sequences",
     "swarms": "fuzzy swarms without noise",
 }
-# Seconds of the small effort over those of the full one, by kind, of all tables; it searches no angles.
+# Seconds of the small effort relative to the full one, by kind, over all tables; it searches no angles.
 _QUICK_SHARE: Final = {"forward": 0.1, "constants": 0.16, "noise": 0.19}
-# Plates whose angles are sought, and whose layups are all weighed.
+# Plates whose angles are searched and whose layups are all weighed.
 _WITH_ANGLES: Final = ("C1", "C3", "D1", "D3")
 _NOISE: Final = {number: name for name, number in TABLES.items()}
 
 
 def _plates(number: int) -> tuple[str, ...]:
-    """The plates of a table."""
     return tuple(dict.fromkeys(row.specimen for row in printed_table(number).rows))
 
 
 def tasks_of(number: int, seed: int) -> tuple[Task, ...]:
-    """The computations that a table needs."""
+    """The computations behind a table."""
     if number in (1, 5):
         return tuple(Task("forward", name, BUILT_IN, number, seed) for name in _plates(number))
     if number in (6, 7):
@@ -137,13 +136,13 @@ class PaperResult(Result):
     ----------
     numbers : of the tables
     rows : one for each printed value
-    misfits : of the printed constants, beside ours; as in the JSON document, and so are the three next
+    misfits : misfits of the printed constants, beside ours; records of the JSON document, like the next three
     well_posed : Hadamard's conditions, one for each plate and choice of unknowns
-    simulation_errors : what the simulation of Tables 1 and 5 gets wrong, by plate
+    simulation_errors : errors of the simulations of Tables 1 and 5, by plate
     costs : forward solves and seconds, one for each plate and choice of unknowns
     computed : task -> version, fingerprint, date and seconds of the computation behind the rows
     quick : whether the small effort was asked for
-    seconds : wall clock of this run, without what was stored
+    seconds : wall clock of this run, stored results excluded
     """
 
     command: ClassVar[str] = "paper"
@@ -160,7 +159,7 @@ class PaperResult(Result):
 
     @property
     def title(self) -> str:
-        """The table, where one was asked for."""
+        """Number of the table, where one was asked for."""
         return f"{self.numbers[0]}" if len(self.numbers) == 1 else ""
 
     def texts(self) -> Mapping[str, str]:
@@ -171,7 +170,6 @@ class PaperResult(Result):
 
 @present.register
 def _present(result: PaperResult) -> Report:
-    """The rows, the verdicts, and the largest disagreements."""
     return report_of(_document(result), result.slips, result.cautions)
 
 
@@ -187,20 +185,20 @@ def paper(
     store: str | Path | None = None,
     watch: Watch = SILENT,
 ) -> PaperResult:
-    """The paper's tables, printed values beside computed ones, with a verdict on each.
+    """Printed values of the paper's tables beside computed ones, with a verdict on each.
 
-    The computations come with the package, with version and date. What is computed anew is stored, and the
-    same call goes on from there.
+    The computations come with the package, with version and date. New ones are stored as they finish, and the
+    same call resumes from there.
 
     Parameters
     ----------
-    number : of one table, 1 to 14; all where left out
-    quick : one small swarm for each plate, linearised intervals, three groups of perturbed lists, no finite
-        elements, no search of angles and constants together: shows that it works
-    everything : compute anew what is stored, and what comes with the package, which takes hours
+    number : of one table, 1 to 14; all if left out
+    quick : a small demonstration: one small swarm for each plate, linearised intervals, three groups of
+        perturbed lists, no finite elements, no joint search of angles and constants
+    everything : recompute what is stored or packaged, which takes hours
     executor, workers : as for `cb.sequence`
-    store : directory of finished computations; in the cache where left out
-    watch : display of the progress; none where left out
+    store : directory of finished computations; in the cache if left out
+    watch : progress display; none if left out
 
     Raises
     ------
@@ -251,9 +249,9 @@ def compared(
     quick: bool = False,
     seconds: float = 0.0,
 ) -> PaperResult:
-    """Printed values beside finished computations; nothing is computed.
+    """The comparison from finished computations; nothing is computed.
 
-    slow : "calculix", "sequences", "diagnoses" and "swarms"; those that come with the package where left out.
+    slow : "calculix", "sequences", "diagnoses" and "swarms"; those left out come with the package
     """
     stored = {**{name: packaged(name) for name in _SLOW}, **(slow or {})}
     calculix, sequences, diagnosed = (stored[name] for name in ("calculix", "sequences", "diagnoses"))
@@ -295,7 +293,7 @@ def computations(
     workers: int | None = None,
     watch: Watch = SILENT,
 ) -> dict[Task, Results]:
-    """The results of all tasks of some tables; those that are not known are computed and stored."""
+    """Results of all tasks of some tables; unknown ones are computed and stored."""
     wanted = dict.fromkeys(task for n in reversed(numbers) for task in tasks_of(n, seed))
     tasks = sorted((t for t in wanted if effort.full or t.kind not in OF_FULL_EFFORT), key=_turn)
     computed = {task: results for task in tasks if (results := known(task)) is not None}
@@ -324,9 +322,9 @@ def computations(
 
 
 def _forecast(missing: Sequence[Task], effort: Effort) -> str:
-    """The time that computations take, by those that come with the package and the share of a smaller effort.
+    """Expected time of computations, from packaged timings and the share of a smaller effort.
 
-    One that does not come with it takes as long as the longest of its kind.
+    One that is not packaged counts as the longest of its kind.
     """
     known: Mapping[str, Results] = packaged("tasks")["tasks"]
 
@@ -340,14 +338,13 @@ def _forecast(missing: Sequence[Task], effort: Effort) -> str:
 
 
 def _turn(task: Task) -> tuple[bool, bool, int]:
-    """The order of tasks."""
     if task.specimen not in _LONGEST:
         return True, False, 0
     return False, task.kind == "noise", _LONGEST.index(task.specimen)
 
 
 def _rows(number: int, computed: Computed, stored: Mapping[str, Mapping[str, Any]]) -> Iterator[Row]:
-    """stored : slow work by name."""
+    """The rows of a table; stored : slow work by name."""
     table = printed_table(number)
     yield from input_rows(table)
     if number in (1, 5):
@@ -360,12 +357,12 @@ def _rows(number: int, computed: Computed, stored: Mapping[str, Mapping[str, Any
 
 
 def _sought(row: Row) -> str:
-    """The choice of unknowns that a row's interval is of."""
+    """The choice of unknowns behind a row's interval."""
     return FOUR if row.table in (6, 8) and TWO not in row.source else BUILT_IN
 
 
 def _by_table(computed: Mapping[Task, Results], key: str) -> Iterator[tuple[Task, Results]]:
-    """Tasks whose results have a key, by table and specimen."""
+    """Tasks whose results have a key, sorted by table and specimen."""
     ordered = sorted(computed.items(), key=lambda item: (item[0].table, item[0].specimen, item[0].case))
     return ((task, results) for task, results in ordered if key in results)
 
@@ -380,7 +377,7 @@ def _well_posed(computed: Mapping[Task, Results], sequences: Mapping[str, Any]) 
 
 
 def _costs(computed: Mapping[Task, Results], calculix: Mapping[str, Any]) -> Iterator[Record]:
-    """Forward solves and their time, beside that of as many runs of CalculiX one after another."""
+    """Forward solves and their time, beside the time of as many sequential runs of CalculiX."""
     for task, results in _by_table(computed, "forward_solves"):
         each = calculix["seconds_each"].get(task.specimen)
         yield {
@@ -414,7 +411,7 @@ def _misfits(computed: Mapping[Task, Results]) -> Iterator[Record]:
 
 
 def _ends(constants: Mapping[str, Mapping[str, Any]]) -> Iterable[str]:
-    """Constants that sit on a bound, and the constraint where two sit on it."""
+    """Constants on a bound, or the constraint where two lie on it."""
     found = (
         CONSTRAINT if c["bound"] == CONSTRAINT else name
         for name, c in constants.items()
@@ -424,7 +421,7 @@ def _ends(constants: Mapping[str, Mapping[str, Any]]) -> Iterable[str]:
 
 
 def _behind(numbers: Sequence[int]) -> dict[str, tuple[str, ...]]:
-    """Slow work behind some tables, by name, with the plates that it is for."""
+    """Slow work behind some tables: name -> its plates."""
     found: dict[str, dict[str, None]] = {name: {} for name in _SLOW}
     for number in numbers:
         if number in (1, 5):
@@ -439,7 +436,7 @@ def _behind(numbers: Sequence[int]) -> dict[str, tuple[str, ...]]:
 
 
 def _slow(numbers: Sequence[int]) -> dict[str, tuple[str, ...]]:
-    """The part of it that can be done here."""
+    """Slow work behind some tables that can be done here: CalculiX only if it is installed."""
     here = _behind(numbers)
     return {name: of for name, of in here.items() if name != "calculix" or shutil.which("ccx") is not None}
 
@@ -460,7 +457,7 @@ def _notices(computed: Mapping[Task, Results], quick: bool) -> Iterator[Notice]:
 
 
 def _document(result: PaperResult) -> dict[str, Any]:
-    """The JSON document, from which all that is shown is written."""
+    """The JSON document, from which everything shown is written."""
     checks = [check for number in result.numbers for check in percentage_checks(number)]
     return {
         "command": result.command,
@@ -500,7 +497,7 @@ def _document(result: PaperResult) -> dict[str, Any]:
 
 
 def _counts(rows: tuple[Row, ...], number: int) -> dict[str, Any]:
-    """Verdicts of a table's rows, and how many of its percentages follow from their digits."""
+    """Verdicts on a table's rows, and how many of its percentages follow from their digits."""
     verdicts = Counter(row.verdict for row in rows if row.table == number)
     of_others = Counter(row.verdict for row in rows if row.table == number and by_others(row.source))
     percentages = Counter(check.agreement for check in percentage_checks(number))
@@ -537,7 +534,7 @@ def _record(row: Row) -> dict[str, Any]:
 
 
 def _misprints(table: PrintedTable) -> Iterator[str]:
-    """Misprints of a table and what else contradicts itself in it, a sentence each, one for rows alike."""
+    """Misprints and other contradictions of a table, one sentence each, identical ones merged."""
     places: dict[tuple[str, str], list[str]] = {}
     for row, column, misprint in table.misprints:
         cell = row.values[column]

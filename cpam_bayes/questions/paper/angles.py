@@ -1,8 +1,8 @@
-"""Angles of Tables 11 to 14: printed means of ten beside ours, and beside those of uniform angles.
+"""Ply angles of Tables 11 to 14: printed means of ten inversions beside ours and beside uniform angles.
 
-Inversions that end anywhere scatter too, and of all images of a layup with the same frequencies the one
-nearest the print is compared. So each number stands beside that of angles under no preference, drawn
-uniformly and compared by the same code.
+Inversions that end at random scatter too, and each layup is compared by the image nearest the printed angles,
+of all images with the same frequencies. So every number stands beside that of uniformly drawn angles,
+compared by the same code.
 """
 
 from __future__ import annotations
@@ -34,60 +34,60 @@ from cpam_bayes.stacking.symmetry import plane_motions
 PRINTED_GROUPS: Final = 10
 """Perturbed lists behind each printed mean."""
 STANDARD_ERRORS: Final = 2.0
-"""Means agree up to so many standard errors of their difference."""
+"""Means agree within this many standard errors of their difference."""
 
 # The paper's grid of angles, degrees.
 _GRID_DEG: Final = 5.0
-# Draws of ten uniform angles a ply, and the share of them up to which a result is not chance.
+# Draws of ten uniform angles per ply, and the probability under these up to which a result is not chance.
 _DRAWS: Final = 2000
 _CHANCE: Final = 0.05
-# Standard deviations that a one-sided normal distribution exceeds with this chance.
+# One-sided 95 % quantile of the standard normal distribution.
 _BEYOND_CHANCE: Final = 1.645
 
 
 def motions_of(specimen: str) -> tuple[str, ...]:
-    """The motions of a plate that keep its frequencies and change its angles, "" (none) the first."""
+    """Motions of a plate that keep its frequencies but change its angles, "" (none) first."""
     return plane_motions(builtin(specimen, sequence=True))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ends:
-    """Angles that inversions ended at, from the printed ones, on the image nearest to these.
+    """Angles at which inversions ended, relative to the printed ones, on the image nearest to these.
 
-    away_deg : (..., groups, plies), within -90 (excluded) to 90 degrees
+    away_deg : (..., groups, plies), above -90 up to 90 degrees
     """
 
     away_deg: Array
 
     @classmethod
     def of(cls, angles_deg: Array, printed: Sequence[int], motions: Sequence[str]) -> Ends:
-        """From angles (..., groups, plies); the nearest image has the least sum of differences."""
+        """Ends from angles (..., groups, plies); the nearest image has the least sum of differences."""
         images = np.stack([_wrapped(ANGLE_MOTIONS[kind](angles_deg) - np.array(printed)) for kind in motions])
         nearest = np.abs(images).sum(axis=-1).argmin(axis=0)
         return cls(np.take_along_axis(images, nearest[None, ..., None], axis=0)[0])
 
     @property
     def mean_deg(self) -> Array:
-        """Mean of each ply, from the printed angle, (..., plies)."""
+        """Mean of each ply, relative to the printed angle, (..., plies)."""
         return np.asarray(self.away_deg.mean(axis=-2))
 
     @property
     def distance_deg(self) -> Array:
-        """Mean difference from the printed angles over inversions and plies, (...,)."""
+        """Mean absolute difference from the printed angles over inversions and plies, (...,)."""
         return np.asarray(np.abs(self.away_deg).mean(axis=(-2, -1)))
 
     @property
     def is_within_error(self) -> NDArray[np.bool_]:
-        """Whether the mean of every ply is within the standard errors of the printed one, (...,)."""
+        """Whether the means of all plies lie within `STANDARD_ERRORS` of the printed ones, (...,)."""
         groups = self.away_deg.shape[-2]
         error = self.spread_deg * math.sqrt(1.0 / groups + 1.0 / PRINTED_GROUPS)
         return np.asarray(np.all(np.abs(self.mean_deg) <= STANDARD_ERRORS * error, axis=-1))
 
     @property
     def spread_deg(self) -> Array:
-        """Circular standard deviation of each ply, whose angle repeats after 180 degrees, (..., plies)."""
+        """Circular standard deviation of each ply, period 180 degrees, (..., plies)."""
         length = np.abs(np.exp(2j * np.radians(self.away_deg)).mean(axis=-2))
-        # angles that cancel out have no finite one: the length is at least 1 / n
+        # angles that cancel have no finite spread: the resultant length is taken as 1 / n at least
         least = 1.0 / self.away_deg.shape[-2]
         return np.asarray(0.5 * np.degrees(np.sqrt(-2.0 * np.log(np.clip(length, least, 1.0)))))
 
@@ -96,9 +96,9 @@ class Ends:
 def no_preference(
     printed: tuple[int, ...], motions: tuple[str, ...], groups: int, stream: tuple[int, int]
 ) -> Ends:
-    """Ends of inversions that prefer no angle, (draws, groups, plies): uniform on the paper's grid, seeded.
+    """Ends under no preference, (draws, groups, plies): angles uniform on the paper's grid, seeded.
 
-    stream : table and level, so that draws of one do not depend on those of another
+    stream : table and level, which seed independent draws
     """
     rng = np.random.default_rng(stream)
     drawn = rng.choice(angle_grid(_GRID_DEG), (_DRAWS, groups, len(printed)))
@@ -107,20 +107,20 @@ def no_preference(
 
 @dataclass(frozen=True, slots=True)
 class NoisyAngles:
-    """Angles that inversions of perturbed lists ended at, beside a printed mean of ten.
+    """Angles at which inversions of perturbed lists ended, beside a printed mean of ten.
 
     printed, means_deg : mean angle of each unknown ply, the outermost first; ours on the images nearest the
-        printed one
+        printed ones
     spread_deg : circular standard deviation of each angle
     within_error : whether every mean is within the standard errors of the printed one
-    found : inversions that ended at the printed sequence, or at an image of it
-    distinct : sequences among their ends, images counted once
-    chance_near, chance_close : share of uniform angles that are as near the printed ones as ours, and that
-        are as close together
-    chance_within : share of uniform angles that show a preference and are within the standard errors
+    found : inversions that ended at the printed sequence or an image of it
+    distinct : sequences among the ends, images counted once
+    chance_near, chance_close : share of uniform angles at least as near the printed ones as ours, and at
+        least as close together
+    chance_within : share of uniform angles that show a preference and lie within the standard errors
     chance_spread_deg : spread of uniform angles by ply
-    chance_more_deg, chance_more_sd_deg : spread of the innermost ply less that of the outermost, of uniform
-        angles
+    chance_more_deg, chance_more_sd_deg : spread of the innermost ply minus that of the outermost, for uniform
+        angles, and its sd
     """
 
     printed: tuple[int, ...]
@@ -141,7 +141,7 @@ class NoisyAngles:
     def of(
         cls, table: int, printed: Sequence[int], level: Mapping[str, Any], motions: tuple[str, ...]
     ) -> NoisyAngles:
-        """From the angles of the inversions at a level of noise."""
+        """From the stored inversions of one level of noise."""
         goal = tuple(int(angle) for angle in printed)
         ends = Ends.of(np.array(level["angles_deg"], dtype=float), goal, motions)
         away = ends.away_deg
@@ -168,9 +168,11 @@ class NoisyAngles:
 
     @property
     def verdict(self) -> Judged:
-        """None on inversions that are neither nearer the print nor closer together than uniform angles.
+        """Verdict on the printed mean angles.
 
-        Agrees where each mean is nearest to the printed angle on the grid; told apart by its error.
+        Undetermined where the ends are neither nearer the printed angles nor closer together than uniform
+        angles; agrees where each mean rounds to the printed angle on the grid; else judged by the standard
+        error.
         """
         said = (
             f"{self.found} of {self.groups} inversions end there, at {self.distinct} sequences in all; of "
@@ -185,7 +187,7 @@ class NoisyAngles:
 
     @property
     def details(self) -> dict[str, float | None]:
-        """For the row."""
+        """Numbers for the details of the row."""
         spread = {f"spread_{i}_deg": d for i, d in enumerate(self.spread_deg, 1)}
         of_chance = {f"chance_spread_{i}_deg": d for i, d in enumerate(self.chance_spread_deg, 1)}
         return {
@@ -205,7 +207,7 @@ class NoisyAngles:
 def free_ends(
     printed: Sequence[int], stored: Mapping[str, Any], motions: tuple[str, ...]
 ) -> dict[str, float | None]:
-    """For the row without noise: swarms on the measured list, how many end at the print, spread by ply."""
+    """Details of the row without noise: swarms on the measured list, those at the print, spread by ply."""
     ends = Ends.of(np.array(stored["angles_deg"], dtype=float), printed, motions)
     return {
         "swarms": float(len(ends.away_deg)),
@@ -215,14 +217,14 @@ def free_ends(
 
 
 def told(weighed: Mapping[str, Any]) -> dict[str, float]:
-    """What one list at a level tells of the angles: probabilities, and bits of each, the outermost first."""
+    """Information of a perturbed list about the angles: probabilities, bits by ply from the outermost."""
     kept = ("true_probability", "printed_probability", "most_bits", "credible_95_count", "p_value")
     bits = {f"bits_{i}": b for i, b in enumerate(weighed["bits"], 1)}
     return {**{key: float(weighed[key]) for key in kept}, **bits}
 
 
 def noisy_angles(rows: Sequence[Row]) -> tuple[str, ...]:
-    """The worth of the means of angles of Tables 11 to 14, point by point; empty where none was computed."""
+    """Sentences on what the mean angles of Tables 11 to 14 can show; empty where none was computed."""
     of_angles = [row for row in rows if "spread_1_deg" in row.details]
     if not of_angles:
         return ()
@@ -261,7 +263,7 @@ def _scatter(rows: Sequence[Row]) -> str:
 
 
 def _without_noise(rows: Sequence[Row]) -> str:
-    """What swarms on the measured lists alone scatter by; "" where none were run."""
+    """Sentence on the scatter of swarms on the measured lists; "" where none were run."""
     free = [row for row in rows if "free_spread_1_deg" in row.details]
     if not free:
         return ""
@@ -277,7 +279,7 @@ def _without_noise(rows: Sequence[Row]) -> str:
 
 
 def _inner_scatters_more(rows: Sequence[Row]) -> tuple[float, float, float]:
-    """Spread of the innermost ply less the outermost's, on average; of uniform angles, and its sd."""
+    """Mean spread of the innermost minus the outermost ply: ours, of uniform angles, and its sd there."""
     outer, inner = _outer_and_inner(rows, "spread_")
     uniform = float(np.mean([row.details["chance_more_deg"] for row in rows]))
     sd = math.sqrt(sum((row.details["chance_more_sd_deg"] or 0.0) ** 2 for row in rows)) / len(rows)
@@ -285,14 +287,14 @@ def _inner_scatters_more(rows: Sequence[Row]) -> tuple[float, float, float]:
 
 
 def _outer_and_inner(rows: Sequence[Row], key: str) -> tuple[float, float]:
-    """Means over the rows of a number of the outermost and of the innermost unknown ply."""
+    """Mean over the rows of a detail, for the outermost and for the innermost unknown ply."""
     plies = [[v or 0.0 for k, v in row.details.items() if k.startswith(key)] for row in rows]
     outer, inner = (float(np.mean([of_row[i] for of_row in plies])) for i in (0, -1))
     return outer, inner
 
 
 def _weighed_angles(rows: Sequence[Row]) -> str:
-    """What one list a level tells of the angles when all layups are weighed; "" where none were."""
+    """Sentence on the information of one list per level about the angles; "" where no layups were weighed."""
     weighed = [row for row in rows if "bits_1" in row.details]
     if not weighed:
         return ""
@@ -307,7 +309,7 @@ def _weighed_angles(rows: Sequence[Row]) -> str:
 
 
 def _explained_by_none(weighed: Sequence[Row]) -> str:
-    """Lists that no layup explains at their noise: what they tell is of another plate."""
+    """Sentence on lists that no layup explains at their noise: their information is about another plate."""
     odd = [row for row in weighed if (row.details["p_value"] or 0.0) < UNEXPLAINED]
     if not odd:
         return ""
@@ -321,7 +323,7 @@ def _less_of_the_innermost(weighed: Sequence[Row]) -> int:
 
 
 def _inner_plies(rows: Sequence[Row]) -> str:
-    """Whether the paper's sentence on inner plies is shown, each way against chance."""
+    """Sentence on whether inner plies are more sensitive to noise, by bits and by scatter."""
     more, uniform, sd = _inner_scatters_more(rows)
     weighed = [row for row in rows if "bits_1" in row.details]
     by_bits = bool(weighed) and _chance_of(_less_of_the_innermost(weighed), len(weighed)) <= _CHANCE
@@ -335,11 +337,11 @@ def _inner_plies(rows: Sequence[Row]) -> str:
 
 
 def _chance_of(less: int, of: int) -> float:
-    """The chance of so many lists or more where either is as likely (sign test)."""
+    """One-sided p-value of the sign test: so many lists or more, where either outcome is as likely."""
     return sum(math.comb(of, k) for k in range(less, of + 1)) / 2.0**of
 
 
-# By whether less is told of the innermost angle, and whether it scatters more, beyond chance.
+# (fewer bits of the innermost angle, more scatter of it), each beyond chance -> words.
 _SHOWN: Final = {
     (True, True): "by the bits and by the scatter of the inversions",
     (True, False): "by the bits, not by the scatter of the inversions",
@@ -349,5 +351,5 @@ _SHOWN: Final = {
 
 
 def _wrapped(angles_deg: Any) -> Any:
-    """Within -90 (excluded) to 90 degrees: a fibre has no head."""
+    """Angles modulo 180 degrees, above -90 up to 90."""
     return 90.0 - np.mod(90.0 - angles_deg, 180.0)

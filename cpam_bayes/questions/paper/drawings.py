@@ -38,7 +38,7 @@ _COLOURS: Final = {
 
 
 def drawings(document: Record) -> tuple[Drawing, ...]:
-    """The figures that the computed tables give."""
+    """Figures of the computed tables."""
     compared = [row for row in document["rows"] if row["difference_percent"] is not None]
     simulated = [row for row in compared if row["table"] == 5]
     own = [m for m in document["audit"]["misfits"] if m["source"] in OF_THE_PAPER]
@@ -80,7 +80,7 @@ def _draw_differences(rows: list[Record]) -> Figure:
     axes = figure.subplots()
     for kind, colour in _COLOURS.items():
         of_kind = [row for row in rows if row["verdict_kind"] == kind]
-        # spread by their place in the table, so that rows do not hide each other
+        # spread by row number, so that points do not hide each other
         places = [numbers.index(r["table"]) + 0.35 * np.sin(7.0 * i) for i, r in enumerate(of_kind)]
         values = [r["difference_percent"] for r in of_kind]
         axes.plot(places, values, "o", ms=3, alpha=0.7, color=colour, label=kind)

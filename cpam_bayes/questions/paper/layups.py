@@ -1,6 +1,6 @@
-"""Stacking sequences of the measured lists and of lists with noise: by the paper's swarm, and weighed.
+"""Stacking sequences of measured and perturbed lists: by the paper's swarm, and by their posterior.
 
-Noise is that of eq. (12) on the root mean square frequency, one standard deviation for all modes.
+Noise as in eq. (12) on the root mean square frequency: one standard deviation for all modes.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ from cpam_bayes.stacking.symmetry import members
 
 Array = NDArray[Any]
 
-# Where a list tells little many thousand sequences matter, 25 ms each of a thick plate. Of C1's lists
-# bits are within 0.02 of those by the usual settings, probabilities of sequences within 9 %.
+# An uninformative list leaves many thousand sequences, 25 ms each for a thick plate. With these settings the
+# bits of C1's lists are within 0.02 of those with the usual ones, probabilities of sequences within 9 %.
 SHORT_LIST: Final = StackingSettings(
     rounds=RoundSettings(fine_from=1.0), unaccounted=1e-2, max_fitted=2000, listed=50, draws=200
 )
-# A constant this close to a bound, as a fraction of its interval, sits on it.
+# A constant within this fraction of its interval of a bound counts as on it.
 _ON_BOUND: Final = 1e-3
 
 
 def bounds_alone(name: str) -> Specimen:
-    """A built-in specimen as in the paper: references say nothing beforehand, and sizes are exact."""
+    """A built-in specimen as in the paper: no prior from reference constants, exact sizes."""
     specimen = builtin(name).with_exact_sizes()
     assert isinstance(specimen.material, Material)
     return replace(specimen, material=replace(specimen.material, known=False))
 
 
 def layup_case(result: StackingResult) -> dict[str, Any]:
-    """The part that is kept of the posterior over the stacking sequences of a measured list."""
+    """What is stored of the posterior over the stacking sequences of a measured list."""
     answer, given = result.answer, result.given
     assert given is not None
     return {
@@ -75,9 +75,9 @@ def _levels(table: int) -> Iterator[tuple[float, PrintedRow]]:
 
 
 def _perturbed(measured: Array, level: float, seed: int, groups: int) -> tuple[Array, Array]:
-    """Lists with noise, (groups, n) Hz in ascending order, and its standard deviations, (n,) Hz.
+    """Perturbed lists (groups, n) in ascending order, and the noise sd (n,), Hz.
 
-    The first lists do not depend on how many there are.
+    The first lists do not depend on the number of groups.
     """
     sd = perturbation_sd(measured, 0.01 * level, "rms")
     noise = sd * np.random.default_rng((seed, int(level))).standard_normal((groups, len(measured)))
@@ -87,7 +87,7 @@ def _perturbed(measured: Array, level: float, seed: int, groups: int) -> tuple[A
 def _ended(
     specimen: Specimen, lists: Array, seeds: Sequence[int | Sequence[int]], swarm: SwarmSettings
 ) -> tuple[Array, Array]:
-    """Angles (n, k), degrees, and constants (n, m), SI, of a fuzzy swarm on each list (n, n_modes)."""
+    """Angles (n, k), degrees, and constants (n, m), SI, found by a fuzzy swarm on each list (n, n_modes)."""
     measurement, _ = required(specimen)
     model = reduced_model(specimen, search_parameters(specimen), measurement.size)
     grid = angle_grid(specimen.angle_grid_deg)
@@ -97,7 +97,7 @@ def _ended(
 
 
 def searched_without_noise(name: str, seeds: Sequence[int], swarm: SwarmSettings) -> Results:
-    """Angles that fuzzy swarms end at on the measured list, which differ in their seeds alone."""
+    """Angles at which fuzzy swarms end on the measured list, for different seeds."""
     specimen = builtin(name, sequence=True)
     measurement, _ = required(specimen)
     lists = np.repeat(measurement.frequencies[None], len(seeds), axis=0)
@@ -105,7 +105,7 @@ def searched_without_noise(name: str, seeds: Sequence[int], swarm: SwarmSettings
 
 
 def searched(name: str, table: int, seed: int, groups: int, swarm: SwarmSettings) -> Results:
-    """Angles and constants together by one fuzzy swarm on each perturbed list, as the paper did."""
+    """Angles and constants searched together by one fuzzy swarm on each perturbed list, as in the paper."""
     specimen = builtin(name, sequence=True)
     measurement, unknowns = required(specimen)
     width = unknowns.upper - unknowns.lower
@@ -135,7 +135,7 @@ def searched(name: str, table: int, seed: int, groups: int, swarm: SwarmSettings
 
 
 def weighed(name: str, table: int, seed: int) -> Results:
-    """The posterior over all stacking sequences of one perturbed list a level, its noise stated."""
+    """The posterior over all stacking sequences of one perturbed list per level, its noise stated."""
     specimen = bounds_alone(name)
     measurement, _ = required(specimen)
     unlabelled = replace(measurement, relative_std=None, labels=("",) * measurement.size, shapes=None)
@@ -145,7 +145,7 @@ def weighed(name: str, table: int, seed: int) -> Results:
     for level, row in _levels(table):
         (noisy,), sd = _perturbed(measurement.frequencies, level, seed, 1)
         noisy_list = replace(unlabelled, frequencies=noisy, frequency_sd=sd)
-        # of another name, so that the sequence of Table 9(b) is not asked for
+        # renamed, so that the printed sequence of Table 9(b) is not evaluated too
         one = replace(specimen, name=f"{name}, {row.source}", measurement=noisy_list)
         result = _sequence(one, seed)
         answer, information = result.answer, result.information
@@ -171,14 +171,14 @@ def weighed(name: str, table: int, seed: int) -> Results:
 
 
 def _sequence(specimen: Specimen, seed: int) -> StackingResult:
-    """As `sequence` answers, by a shorter list."""
+    """The answer of `sequence` with the settings for short lists."""
     one = with_references(require_sequence(specimen.with_unknown_angles()))
     answer = stacking_posterior(one, seed, settings=SHORT_LIST)
     return stacking_result(answer, sample_mixture(answer, seed), None, seed, SHORT_LIST.listed)
 
 
 def _together(answer: StackingPosterior, angles_deg: Sequence[float]) -> float:
-    """Probability of a sequence and of all that no frequency tells from it."""
+    """Probability of a sequence and all sequences with the same frequencies."""
     given = given_layup(answer, np.array(angles_deg, dtype=float))
     if given.index is not None:
         return given.probability * int(answer.multiplicity[given.index])

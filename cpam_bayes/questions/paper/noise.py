@@ -1,8 +1,8 @@
 """Tables 10 to 14: printed means of ten inversions of noisy lists beside ours, and what such means can show.
 
-Verdicts: a mean of ten agrees within two standard errors of the difference of two such means and 5 %; within
-the standard errors alone the two cannot be told apart. Where half of the ten or more sit on a bound there is
-no standard error, and without a posterior interval beside it nothing is determined.
+A mean of ten agrees within two standard errors of the difference of two such means and 5 %; within the
+standard errors alone the two cannot be told apart. Where half or more of the ten are on a bound there is no
+standard error, and without a posterior interval either nothing is determined.
 """
 
 from __future__ import annotations
@@ -46,21 +46,20 @@ from cpam_bayes.questions.paper.rows import (
     row_of,
 )
 
-# Means within the standard errors agree if they are no further apart than this, %.
+# Means within the standard errors agree up to this difference, %.
 _MEAN_PERCENT: Final = 5.0
-# From this share of inversions on a bound their scatter says nothing of the noise.
+# With at least this share of inversions on a bound their scatter says nothing about the noise.
 _STUCK: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Repetition:
-    """Ours beside the printed mean of a constant at a level of noise.
+    """Our repetition, compared with the printed mean of a constant at a level of noise.
 
-    mean, sd, on_bound : over the inversions, and their share on a bound; groups : how many
-    interval : mean, 2.5 % and 97.5 % quantile of the posterior for the same unknowns; None where that was not
-        computed
-    over_layups : whether angles were sought too, and the interval is over all of them
-    free, known_mean : without noise and at this level, for the known layup
+    mean, sd, on_bound : over the inversions; on_bound : share on a bound; groups : number of inversions
+    interval : mean, 2.5 % and 97.5 % quantile of the posterior for the same unknowns; None where not computed
+    over_layups : whether angles were searched too and the interval is over all layups
+    free, known_mean : value without noise, and mean at this level, for the known layup
     """
 
     mean: float
@@ -82,7 +81,7 @@ class Repetition:
         sought_groups: int,
         over_all: Mapping[str, float] | None,
     ) -> Repetition:
-        """From what was computed for the known layup, with the angles sought, and over all layups."""
+        """From results for the known layup, for searched angles, and over all layups."""
         ours = known if sought is None else sought
         of_posterior = known if sought is None else over_all
         mean = "posterior_mean" if sought is None else "mean"
@@ -100,16 +99,16 @@ class Repetition:
 
     @property
     def is_stuck(self) -> bool:
-        """Whether so many inversions sit on a bound that there is no standard error."""
+        """Whether so many inversions are on a bound that there is no standard error."""
         return self.on_bound >= _STUCK
 
     def standard_errors(self, printed: float) -> float:
-        """Distance of a printed mean of ten, in standard errors of the difference of two such means."""
+        """Distance from a printed mean of ten, in standard errors of the difference of two such means."""
         error = self.sd * math.sqrt(1.0 / self.groups + 1.0 / PRINTED_GROUPS)
         return abs(printed - self.mean) / error if error > 0.0 else math.inf
 
     def holds(self, printed: float, rounding: float) -> bool | None:
-        """Whether a printed value, known to half its last digit, is in the interval; None without one."""
+        """Whether the interval holds a printed value, up to its rounding; None without an interval."""
         if self.interval is None:
             return None
         _, low, high = self.interval
@@ -119,12 +118,12 @@ class Repetition:
 def noise_rows(
     table: PrintedTable, computed: Computed, sequences: Mapping[str, Any], swarms: Mapping[str, Any]
 ) -> Iterator[Row]:
-    """Tables 10 to 14: printed means of ten beside the repetition and the posterior at that noise.
+    """Rows of Tables 10 to 14: printed means of ten beside the repetition and the posterior at that noise.
 
-    Where angles and constants were sought together, as the paper did, that repetition is the one compared.
+    Where angles and constants were searched together, as in the paper, that repetition is compared.
 
     sequences, swarms : "cases", by specimen: the posterior over all layups of the measured list, and the
-        angles that swarms end at on it
+        angles at which swarms on it end
     """
     (specimen,) = {row.specimen for row in table.rows}
     results = computed.get(("noise", specimen, BUILT_IN))
@@ -165,7 +164,7 @@ def noise_rows(
 
 
 def _by_source(table: PrintedTable, results: Mapping[str, Any] | None) -> dict[str, Any]:
-    """What was computed at each level, by the source of the printed row; nothing where nothing was."""
+    """Results of each level by the source of the printed row; empty without results."""
     sources = (row.source for row in table.rows[1:])
     return {} if results is None else dict(zip(sources, results["levels"], strict=True))
 
@@ -200,7 +199,7 @@ def _mean_apart(ours: Repetition) -> str:
 
 
 def _of_mean(printed: float, ours: Repetition, inside: bool | None) -> Judged:
-    """Verdict on a printed mean; inside : the interval, None where there is none."""
+    """Verdict on a printed mean; inside : whether it is in the interval, None without one."""
     away, off = ours.standard_errors(printed), 100.0 * abs(printed / ours.mean - 1.0)
     bound = f"{100.0 * ours.on_bound:.0f} % of ours sit on a bound, so that they have no standard error"
     outside = "outside the 95 % interval" if inside is False else ""
@@ -228,7 +227,7 @@ def _free_layup(
     stored: Mapping[str, Any] | None,
     ends: Mapping[str, Any] | None,
 ) -> Iterator[Row]:
-    """The printed sequence without noise, where its posterior is there; ends : of swarms on that list."""
+    """The printed sequence without noise, if its posterior is stored; ends : of swarms on that list."""
     if stored is not None:
         judged = layup_row(table, row, cell, stored)
         swarms = {} if ends is None else free_ends(cell.angles_deg, ends, motions_of(row.specimen))
@@ -252,11 +251,11 @@ def _noisy_layup(
 
 @dataclass(frozen=True, slots=True)
 class MeansOfTen:
-    """The information in the printed means of ten inversions of Tables 10 to 14.
+    """Information in the printed means of ten inversions of Tables 10 to 14.
 
-    changes : printed ones; stuck : of which half of our inversions or more sit on a bound; hidden : of the
+    changes : number printed; stuck : those with half or more of our inversions on a bound; hidden : of the
         others, those below one standard error of such a mean as repeated here
-    constants : series over the levels; printed_grow, ours_grow : of which the change keeps its sign and
+    constants : series over the levels; printed_grow, ours_grow : those whose change keeps its sign and
         grows, ours for the known layup
     """
 
@@ -269,7 +268,7 @@ class MeansOfTen:
 
     @classmethod
     def of(cls, rows: Iterable[Row]) -> MeansOfTen | None:
-        """From the rows, None where none of these tables was computed."""
+        """From the rows; None where none of these tables was computed."""
         series: dict[tuple[int, str], list[Row]] = {}
         for row in _means(rows):
             series.setdefault((row.table, row.quantity), []).append(row)
@@ -286,12 +285,12 @@ class MeansOfTen:
 
 
 def _means(rows: Iterable[Row]) -> Iterator[Row]:
-    """Printed means of a constant over ten inversions."""
+    """Rows of printed means of a constant over ten inversions."""
     return (row for row in rows if "printed_percent" in row.details)
 
 
 def means_of_ten(rows: Iterable[Row]) -> str:
-    """The information in the printed means of ten inversions, in words; "" where none was computed."""
+    """Sentences on the printed means of ten inversions; "" where none was computed."""
     rows = tuple(rows)
     found = MeansOfTen.of(rows)
     if found is None:
@@ -310,7 +309,7 @@ def means_of_ten(rows: Iterable[Row]) -> str:
 
 
 def _over_layups(rows: Iterable[Row]) -> str:
-    """Where the interval beside constants sought with the angles comes from; "" where none were."""
+    """Sentences on the intervals beside constants that were searched with angles; "" where none were."""
     sought = [row for row in _means(rows) if row.details["over_layups"]]
     beside = [row for row in sought if row.q025 is not None]
     without = tuple(dict.fromkeys(row.specimen for row in sought if row.q025 is None))

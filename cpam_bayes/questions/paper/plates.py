@@ -1,4 +1,4 @@
-"""What is wrong with the paper's plates, from the JSON document: in plain words, and a table of all."""
+"""What is wrong with the paper's plates, from the JSON document: in words, and as a table."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from cpam_bayes.questions.paper.drawings import OF_THE_PAPER
 from cpam_bayes.questions.paper.rows import BUILT_IN, UNEXPLAINED_PERCENT, Record, is_unexplained
 from cpam_bayes.render.report import Column, Rows
 
-# One factor explains a list if it leaves less than this share of itself.
+# One factor explains a list if scaling leaves less than this share of the misfit.
 _ONE_FACTOR: Final = 1.0 / 3.0
-# Thicknesses of two plates this close, as a fraction, are alike.
+# Relative difference up to which two thicknesses are alike.
 _ALIKE: Final = 0.1
-# Claims whose causes have a size; the size of what is undecided or unknown says nothing.
+# Claims whose causes have a size; an undecided or unknown cause has none.
 _SIZED: Final = ("named", "pair", "class")
 _TWO_DIGITS: Final = partial(significant, digits=2)
 
 
 def wrong_plates(document: Record) -> Iterator[str]:
-    """What is wrong with plates whose lists no constants near the data sheet explain, in plain words."""
+    """Section on plates whose lists no constants near the data sheet explain."""
     far = filter(is_unexplained, document["simulation"])
     wrong = {e["specimen"]: e for e in sorted(far, key=itemgetter("specimen"))}
     if not wrong:
@@ -43,7 +43,7 @@ def wrong_plates(document: Record) -> Iterator[str]:
 
 
 def _least(document: Record, name: str) -> str:
-    """Misfit and E1 of the smallest F for the printed plate; "" where Table 9 was not computed."""
+    """Misfit and E1 at the smallest F for the printed plate; "" where Table 9 was not computed."""
     rms = [
         m["our_rms_percent"]
         for m in document["audit"]["misfits"]
@@ -64,7 +64,7 @@ def _in_words(error: Record, least: str) -> str:
 
 
 def _factor(error: Record) -> str:
-    """The factor on all frequencies; a thickness that gives it, where nearly nothing else is left."""
+    """The common factor of all frequencies, and the thickness that gives it, if it explains nearly all."""
     ratio, left = error["frequency_ratio"], error["scaled_rms_percent"]
     times = significant(ratio, 3)
     said = f"Its frequencies are {times} times those of the printed plate, to {_TWO_DIGITS(left)} %"
@@ -86,7 +86,7 @@ def _factor(error: Record) -> str:
 
 
 def _sizes(error: Record) -> str:
-    """Sizes of what is claimed, and of what stands beside it in the most probable set of causes."""
+    """Sizes of the claimed causes, and of those beside them in the most probable set."""
     if error["claim"] not in _SIZED or not error["sizes"]:
         return ""
     own = {p.name for effect in CATALOGUE if effect.name in error["causes"] for p in effect.parameters}
@@ -103,7 +103,7 @@ def _size(name: str, size: Mapping[str, Any]) -> str:
 
 
 def _left(error: Record, least: str) -> str:
-    """Misfits side by side: of the printed plate, and with what is claimed."""
+    """Misfits side by side: of the printed plate, at the smallest F, and with the claimed cause."""
     parts = [f"Left: {_TWO_DIGITS(error['plain_rms_percent'])} %"]
     if least:
         parts.append(least)
@@ -137,6 +137,6 @@ _DIAGNOSED: Final = (
 
 
 def diagnosed(simulation: Sequence[Record]) -> Rows:
-    """The diagnosis of each plate, once."""
+    """The diagnosis of each plate, one row per plate."""
     each = {error["specimen"]: error for error in simulation}
     return Rows("diagnosed", _DIAGNOSED, tuple(each.values()))

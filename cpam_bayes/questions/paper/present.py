@@ -1,6 +1,6 @@
-"""The presentation of the comparison with the paper, from its JSON document: screen, page, Markdown.
+"""The report of the comparison with the paper, from its JSON document: screen, page, Markdown.
 
-`docs/comparison.md` is `page` of a saved document.
+`docs/comparison.md` is the `page` of a saved document.
 """
 
 from __future__ import annotations
@@ -62,13 +62,13 @@ def _ours(row: Record) -> str | None:
 
 
 def _printed(row: Record) -> str:
-    """As printed, angles as ours are written."""
+    """The printed text; angles in the notation of ours."""
     text: str = row["printed_text"]
     return text.strip("[]").replace(", ", "/") if row["quantity"] == "angles_deg" else text
 
 
 def _plain_ours(row: Record) -> float | str | None:
-    """Angles as one text, for a file of rows."""
+    """Our value; angles as one text, for a CSV file."""
     ours: float | list[float] | None = row["ours"]
     return "/".join(f"{angle:g}" for angle in ours) if isinstance(ours, list) else ours
 
@@ -109,10 +109,10 @@ _ROWS: Final = (
 
 
 def _outside(row: Record) -> str | None:
-    """Why ours lies outside its own interval, in few words; None where it does not.
+    """Short reason why ours lies outside its own interval; None where it does not.
 
-    It is a mean of inversions of noisy lists, sits on a bound or on E1 = E2, or eq. (7) weighs high modes
-    most.
+    It is a mean of inversions of noisy lists, is on a bound or on E1 = E2, or eq. (7) gives high modes the
+    most weight.
     """
     low, high, ours = row["q025"], row["q975"], row["ours"]
     if low is None or high is None or low <= ours <= high:
@@ -139,7 +139,7 @@ def row_table(document: Record) -> Rows:
 
 
 def _rows_of(document: Record, number: int, columns: tuple[Column, ...] = _ROWS) -> Rows:
-    """The rows of a table that were computed."""
+    """The computed rows of a table."""
     rows = (row for row in document["rows"] if row["table"] == number and row["verdict"] != INPUT)
     return Rows("rows", columns, tuple(rows), _is_disputed)
 
@@ -171,7 +171,7 @@ _MISFITS: Final = (
 
 
 def _case(misfit: Record) -> str:
-    """The plate, with the number of unknown constants where there is a choice."""
+    """The plate, with the choice of unknowns where there is one."""
     return str(misfit["specimen"]) + ("" if misfit["case"] == BUILT_IN else f", {misfit['case']}")
 
 
@@ -224,7 +224,7 @@ _PERCENTAGES: Final = (
 
 
 def _by_ply(key: str, form: str, row: Record) -> str:
-    """Numbers of the unknown plies, the outermost first."""
+    """A detail of each unknown ply, the outermost first."""
     return " ".join(format(v, form) for name, v in row["details"].items() if name.startswith(key))
 
 
@@ -245,7 +245,6 @@ _COMPUTED: Final = (
 
 
 def _well_posed(conditions: Sequence[Record]) -> Rows:
-    """Conditions by case."""
     names = dict.fromkeys(name for c in conditions for name in c["percent_per_percent"])
     stability = (
         _shown(f"{name.partition('_')[0]}, % per %", partial(_amplified, name), number=True) for name in names
@@ -277,7 +276,7 @@ def _wrong_percentages(document: Record) -> Rows:
 
 
 def report_of(document: Record, slips: tuple[str, ...], cautions: tuple[str, ...]) -> Report:
-    """The rows of a table or the verdicts on all, then the audit of the print."""
+    """The report: rows of one table or verdicts on all, then the audit of the print."""
     numbers = [t["table"] for t in document["tables"]]
     tables, misfits = (
         Rows("tables", _TABLES, tuple(document["tables"])),
@@ -388,7 +387,7 @@ def _verb(n: int, one: str, many: str) -> str:
 
 
 def _of_angles(document: Record) -> Iterator[str]:
-    """What ours and the intervals are of in a table with angles of noisy lists."""
+    """Remark on a table with angles of noisy lists: what our values and intervals refer to."""
     if len(document["tables"]) == 1 and any(map(_has_spread, document["rows"])):
         yield (
             "Free disorder: constants of the known layup. Below it ours are means of ten lists, angles "
@@ -402,7 +401,7 @@ def _has_spread(row: Record) -> bool:
 
 
 def _when(document: Record) -> Iterator[str]:
-    """The days of the computations, and how to do them anew."""
+    """Dates of the computations, and how to repeat them."""
     days = sorted({record["date"] for record in document["computed"].values()})
     if days:
         seconds = sum(record["seconds"] for record in document["computed"].values())
@@ -411,7 +410,7 @@ def _when(document: Record) -> Iterator[str]:
 
 
 def page(document: Record) -> str:
-    """The page docs/comparison.md, from the document of `cpam-bayes paper --json`; rows are beside it."""
+    """The page docs/comparison.md, from the document of `cpam-bayes paper --json`."""
     return "\n".join(_lines(document)).rstrip() + "\n"
 
 
@@ -475,7 +474,7 @@ def _lines(document: Record) -> Iterator[str]:
 
 
 def _computed(computed: Mapping[str, Record]) -> str:
-    """By which versions, and when, the computations behind the rows were made."""
+    """Versions and dates of the computations behind the rows."""
     versions = sorted({str(record["version"]) for record in computed.values()})
     days = sorted({str(record["date"]) for record in computed.values()})
     if not days:
@@ -491,7 +490,7 @@ def _disagreements(texts: Sequence[str]) -> Iterator[str]:
 
 
 def _by_author(tables: Sequence[Record]) -> str:
-    """Values that are not reproducible, the paper's own and those of works that it cites."""
+    """Sentence on irreproducible values: the paper's own and those of works that it cites."""
     off, of_others = (
         sum(t[key][NOT_REPRODUCIBLE] for t in tables) for key in ("verdicts", "verdicts_of_others")
     )
@@ -504,7 +503,7 @@ def _by_author(tables: Sequence[Record]) -> str:
 
 
 def _other_bounds(misfits: Sequence[Record]) -> str:
-    """Bounds of the smallest F that are not those of eq. (8), with the plates."""
+    """Bounds of the smallest F that differ from those of eq. (8), with the plates."""
     found: dict[tuple[str, float, float, str], list[str]] = {}
     for misfit in misfits:
         for name, (low, high) in misfit["beyond_eq_8"].items():
@@ -517,7 +516,7 @@ def _other_bounds(misfits: Sequence[Record]) -> str:
 
 
 def _of_one_swarm(misfits: Sequence[Record]) -> str:
-    """Plates whose smallest F was found by one swarm only, where several searched."""
+    """Sentence on plates whose smallest F only one of several swarms found."""
     alone = [m for m in misfits if m["swarms"] > 1 and m["swarms_found"] <= 1]
     if not alone:
         return ""
@@ -540,7 +539,6 @@ def _diagnosed_lines(simulation: Sequence[Record]) -> Iterator[str]:
 
 
 def _noise_lines(document: Record) -> Iterator[str]:
-    """Findings in the tables of noise."""
     texts = _on_noise(document["audit"])
     if not texts:
         return
@@ -552,7 +550,7 @@ def _noise_lines(document: Record) -> Iterator[str]:
 
 
 def _on_noise(audit: Record) -> tuple[str, ...]:
-    """What the means of ten and their angles are worth."""
+    """Sentences on what means of ten and their angles can show."""
     return tuple(filter(None, (audit["means_of_ten"], *audit["angles"])))
 
 
@@ -579,7 +577,7 @@ def _hadamard_lines(conditions: Sequence[Record]) -> Iterator[str]:
 
 
 def _named(conditions: Sequence[Record]) -> str:
-    """The plates in brackets."""
+    """The plates in parentheses."""
     named = dict.fromkeys(f"{c['specimen']} with {c['unknowns']} unknowns" for c in conditions)
     return f" ({'; '.join(named)})" if named else ""
 

@@ -1,6 +1,6 @@
 """Printed values beside computed ones, the verdict on each, and the audit of the print.
 
-Verdicts: a frequency agrees up to 0.5 % or half a unit of its last digit, an identified constant up to 1 %.
+A frequency agrees within 0.5 % or half a unit of its last digit, an identified constant within 1 %.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from cpam_bayes.printed.tables import (
 )
 
 CONSTRAINT: Final = "E1 = E2"
-"""In place of the bound that a constant sits on: the constraint E1 > E2 of eq. (9)."""
+"""In place of a bound: the constraint E1 > E2 of eq. (9) is active."""
 BUILT_IN, TWO, FOUR = "as built in", "two constants", "four constants"
 """Choices of unknowns: those of the built-in specimen, or two or four constants of an aluminium plate."""
 Verdict = Literal[
@@ -44,19 +44,19 @@ Computed = Mapping[tuple[str, str, str], Results]
 """Kind, specimen and case of a task -> its results."""
 
 Judged = tuple[Verdict, str]
-"""A verdict, and what is to be said about it."""
+"""A verdict and its reason."""
 
-# A printed frequency agrees with a converged one up to this, %: what a mesh of 100 elements may be off.
+# A printed frequency agrees with a converged one within this, %: the error of a mesh of 100 elements.
 _SOLVER_PERCENT: Final = 0.5
-# An identified constant agrees with the best fit up to this, %.
+# An identified constant agrees with the best fit within this, %.
 _CONSTANT_PERCENT: Final = 1.0
-# A difference beyond this is a misprint, %.
+# A larger difference, %, is a misprint.
 MISPRINTED: Final = 50.0
-# Misfit of printed constants that is worth a name, %; ends of an interval this factor apart are far apart.
+# Misfit of printed constants above which a plate is named, %; ratio of interval ends that counts as wide.
 _FAR, _WIDE = 5.0, 1.5
-# Misfit with constants near the data sheet, %, from which on a plate's list is not that of the printed plate.
+# Misfit with constants near the data sheet, %, above which a list is not that of the printed plate.
 UNEXPLAINED_PERCENT: Final = 5.0
-# An interval over this share of the bounds says nothing: the prior, uniform between them, has 95 %.
+# An interval wider than this share of the bounds is uninformative: that of a uniform prior spans 95 %.
 _UNDETERMINED: Final = 0.8
 
 
@@ -65,9 +65,9 @@ class Row:
     """One printed value beside the computed one.
 
     printed : as printed. ours : number, or angles in degrees from the outermost ply, or None for inputs.
-    difference_percent : printed over ours, less one.
+    difference_percent : printed / ours - 1.
     q025, q975 : posterior interval of the quantity, where there is one.
-    reason : why it is not reproducible, or what else explains the verdict; "" where there is nothing to say.
+    reason : why it is not reproducible, or another reason of the verdict; "" for none.
     details : further computed numbers by name, such as the other solvers.
     """
 
@@ -87,7 +87,7 @@ class Row:
 
 
 def input_rows(table: PrintedTable) -> Iterator[Row]:
-    """Tables 2 to 4, and rows elsewhere that are references or measurements."""
+    """Rows of Tables 2 to 4, and rows elsewhere that are references or measurements."""
     for row in table.rows:
         if row.role in ("input", "measured"):
             for quantity, cell in row.values.items():
@@ -95,7 +95,7 @@ def input_rows(table: PrintedTable) -> Iterator[Row]:
 
 
 def frequency_rows(table: PrintedTable, computed: Computed, calculix: Mapping[str, Any]) -> Iterator[Row]:
-    """Tables 1 and 5: printed frequencies of a solver beside the Ritz method, elements and CalculiX."""
+    """Rows of Tables 1 and 5: printed frequencies beside the Ritz method, elements and CalculiX."""
     for row in table.rows:
         results = computed.get(("forward", row.specimen, BUILT_IN))
         if row.role != "computed" or results is None:
@@ -124,7 +124,7 @@ def _of_frequency(cell: PrintedValue, solvers: Mapping[str, float | None]) -> Ju
 
 
 def constant_rows(table: PrintedTable, computed: Computed) -> Iterator[Row]:
-    """Tables 6 to 9(a): identified constants beside the best fit and its posterior interval."""
+    """Rows of Tables 6 to 9(a): identified constants beside the best fit and its posterior interval."""
     for row in table.rows:
         if row.role != "identified" or "E1_GPa" not in row.values:
             continue
@@ -170,7 +170,7 @@ def _of_constant(cell: PrintedValue, ours: Mapping[str, Any], why: str) -> Judge
 
 
 def _apart_from_interval(ours: Mapping[str, Any]) -> str:
-    """Why a best fit lies outside the interval of the same constant; "" where it does not."""
+    """Why a best fit lies outside its own posterior interval; "" where it does not."""
     if ours["q025"] <= ours["value"] <= ours["q975"]:
         return ""
     if ours["bound"] == CONSTRAINT:
@@ -186,7 +186,7 @@ def _apart_from_interval(ours: Mapping[str, Any]) -> str:
 
 
 def layup_rows(table: PrintedTable, sequences: Mapping[str, Any]) -> Iterator[Row]:
-    """Table 9(b): printed stacking sequences beside the posterior over all of them on the grid."""
+    """Rows of Table 9(b): printed stacking sequences beside the posterior over all of them on the grid."""
     for row in table.rows:
         if row.part == "b":
             stored = sequences["cases"].get(row.specimen)
@@ -196,7 +196,7 @@ def layup_rows(table: PrintedTable, sequences: Mapping[str, Any]) -> Iterator[Ro
 
 
 def layup_row(table: PrintedTable, row: PrintedRow, cell: PrintedValue, stored: Mapping[str, Any]) -> Row:
-    """A printed stacking sequence beside the most probable one of the posterior over all of them."""
+    """A printed stacking sequence beside the most probable one of the posterior."""
     printed = stored["printed"]
     inside = in_credible_set(
         printed["probability"], stored["credible_95_count"], stored["enumerated"], printed["rank"]
@@ -221,10 +221,9 @@ def layup_row(table: PrintedTable, row: PrintedRow, cell: PrintedValue, stored: 
 
 
 def in_credible_set(probability: float, count: int, enumerated: int, rank: int | None) -> bool | None:
-    """Whether a sequence is in the set of the most probable ones with 95 %, None where that is not certain.
+    """Whether a sequence is in the 95 % credible set, None where that is not certain.
 
-    One that is more probable than the mean of the set is in it, one less probable than the mean of
-    all others is not.
+    One more probable than the mean of the set is in it, one less probable than the mean of all others is not.
     """
     if rank is not None and rank <= count // 2:
         return True
@@ -264,14 +263,14 @@ def row_of(
 
 
 def is_unexplained(error: Record) -> bool:
-    """Whether a plate's list is not that of the printed plate, by its diagnosis."""
+    """Whether a list is not that of the printed plate: its rms misfit exceeds `UNEXPLAINED_PERCENT`."""
     return bool(error["plain_rms_percent"] > UNEXPLAINED_PERCENT)
 
 
 def disagreements(
     rows: Sequence[Row], misfits: Sequence[Record], simulation: Sequence[Record]
 ) -> tuple[str, ...]:
-    """The most important disagreements in words, as far as their tables were computed."""
+    """The most important disagreements as sentences, for the tables that were computed."""
     # misfits of Table 9 are computed for Tables 11 to 14 as well
     own = [m for m in misfits if m["table"] == 9] if any(row.table == 9 for row in rows) else []
     other = {error["specimen"] for error in simulation if is_unexplained(error)}
@@ -279,7 +278,7 @@ def disagreements(
 
 
 def _frequencies_off(rows: Sequence[Row]) -> str:
-    """The plate of Table 5 whose printed frequencies are furthest from the converged ones."""
+    """Sentence on the plate of Table 5 whose printed frequencies are farthest from the converged ones."""
     off: dict[str, list[tuple[Row, float]]] = {}
     for row in rows:
         difference = row.difference_percent
@@ -305,7 +304,7 @@ def _frequencies_off(rows: Sequence[Row]) -> str:
 
 
 def _own_misfit(misfits: Sequence[Record]) -> str:
-    """The specimens whose printed constants miss their own frequencies; misfits : of Table 9."""
+    """Sentence on specimens whose printed constants miss their own frequencies; misfits : of Table 9."""
     identified = [m for m in misfits if m["source"] == PAPER]
     if not identified:
         return ""
@@ -322,7 +321,7 @@ def _own_misfit(misfits: Sequence[Record]) -> str:
 
 
 def share_of_bounds(row: Row, bounds: Mapping[str, tuple[float, float]]) -> Row:
-    """A row with an interval, whose details say what share of the bounds it spans."""
+    """A row with the share of the bounds that its interval spans in its details."""
     assert row.q025 is not None
     assert row.q975 is not None
     low, high = bounds[row.quantity]
@@ -330,7 +329,7 @@ def share_of_bounds(row: Row, bounds: Mapping[str, tuple[float, float]]) -> Row:
 
 
 def not_determined(rows: Sequence[Row]) -> str:
-    """How many constants within the posterior could not have lain outside it, in words; "" for none."""
+    """Sentence on constants within the posterior that could hardly have lain outside it; "" for none."""
     within = [r for r in rows if r.verdict == WITHIN and r.details.get("share_of_bounds") is not None]
     wide = [r for r in within if (r.details["share_of_bounds"] or 0.0) > _UNDETERMINED]
     if not wide:
@@ -346,12 +345,12 @@ def not_determined(rows: Sequence[Row]) -> str:
 
 
 def by_others(source: str) -> bool:
-    """Whether a printed value is of another work, whose number the paper gives."""
+    """Whether a printed value is quoted from another work."""
     return "[" in source
 
 
 def _undetermined(rows: Sequence[Row], other: Collection[str]) -> str:
-    """Printed digits that the frequencies do not determine: constants and stacking sequences.
+    """Sentence on printed digits that the frequencies do not determine: constants and stacking sequences.
 
     other : plates whose lists are not those of the printed plates.
     """

@@ -1,7 +1,7 @@
-"""The computations behind the rows: plain data in, plain data out, so that each is stored when it is done.
+"""The computations behind the rows; each returns plain data, stored as soon as it is done.
 
-A stopped comparison goes on from the finished ones. Those of the full effort come with the package, and so do
-CalculiX's bricks, diagnoses and posteriors over the stacking sequences of Table 9(b).
+A stopped comparison resumes from the finished ones. Those of the full effort come with the package, like the
+frequencies by CalculiX, the diagnoses and the posteriors over the stacking sequences of Table 9(b).
 """
 
 from __future__ import annotations
@@ -60,10 +60,10 @@ _BOUNDS: Final = {
 
 
 def case_specimen(name: str, case: str) -> Specimen:
-    """A built-in specimen with the paper's bounds alone, eq. (8), and four unknown constants where asked for.
+    """A built-in specimen with the bounds of eq. (8) as its only prior, with four unknowns for that case.
 
-    The fourth constraint of eq. (9), E1 > E2, holds for four constants, so that the reference E2 is a little
-    below E1.
+    Four constants must satisfy the fourth constraint of eq. (9), E1 > E2: the reference E2 is a little below
+    E1.
     """
     specimen = bounds_alone(name)
     if case != FOUR:
@@ -104,7 +104,7 @@ _EQUAL: Final = 1e-3
 
 
 def with_ends(task: Task, results: Results) -> Results:
-    """Results whose constants know the constraint E1 > E2 where they sit on it."""
+    """Results in which constants on the constraint E1 > E2 name it as their bound."""
     if task.kind != "constants":
         return results
     constants = results["constants"]
@@ -127,12 +127,12 @@ def bounds_of(name: str, case: str) -> Mapping[str, tuple[float, float]]:
     return {user_name(n): (to_user(n, float(low)), to_user(n, float(high))) for n, low, high in ends}
 
 
-# A plate that was sought within the bounds of eq. (8) as they are printed.
+# A plate whose constants are bounded by eq. (8) as printed.
 _AS_PRINTED: Final = "D1"
 
 
 def beyond_eq_8(name: str, case: str) -> dict[str, tuple[float, float]]:
-    """The bounds of a case that are not those of eq. (8)."""
+    """The bounds of a case that differ from those of eq. (8)."""
     printed = bounds_of(_AS_PRINTED, BUILT_IN)
     return {key: ends for key, ends in bounds_of(name, case).items() if ends != printed[key]}
 
@@ -146,7 +146,7 @@ def rounding_percent(name: str) -> float:
 
 
 def with_constants(specimen: Specimen, row: PrintedRow) -> Specimen:
-    """A specimen with the printed constants of a row in place of its reference."""
+    """A specimen with the printed constants of a row as its material."""
     printed: Mapping[str, float] = {
         key: cell.number for key, cell in row.values.items() if cell.number is not None
     }
@@ -161,10 +161,10 @@ _RANK: Final = 1e-6
 def well_posed(estimate: PointEstimate) -> dict[str, Any]:
     """Existence, uniqueness and stability of the solution at the best optimum, as plain data.
 
-    Existence: the misfit that is left, sqrt(sum r^2 / (n_f - n)), r the relative residuals. Uniqueness: the
-    rank and the condition number of S = d ln f / d ln x, (n_f, n), and the optima that the misfit does not
-    tell apart. Stability: sd of ln x for an independent relative noise of frequencies, over that noise:
-    the roots of the diagonal of (S^T S)^-1, bounds left out; None where the rank is not full.
+    Existence: the remaining misfit, sqrt(sum r^2 / (n_f - n)), r the relative residuals. Uniqueness: the
+    rank and the condition number of S = d ln f / d ln x, (n_f, n), and the number of optima that the misfit
+    cannot distinguish. Stability: sd of ln x for independent relative noise of frequencies, over that noise:
+    the roots of the diagonal of (S^T S)^-1, without bounds; None where the rank is not full.
     """
     measurement = estimate.specimen.measurement
     assert measurement is not None
@@ -194,11 +194,11 @@ def well_posed(estimate: PointEstimate) -> dict[str, Any]:
 
 
 def simulation_errors(number: int, diagnosed: Mapping[str, Any]) -> Iterator[Record]:
-    """Errors of Table 1's ABAQUS frequencies, or of Table 4 beside Table 5; none of another table.
+    """Errors of Table 1's ABAQUS frequencies, or of Table 4 beside Table 5; empty for other tables.
 
-    A misprinted frequency is left out of the rms.
+    Misprinted frequencies are excluded from the rms.
 
-    diagnosed : {"plates": name -> what ``diagnosis_row`` keeps, and ``frequency_scale``}
+    diagnosed : {"plates": name -> `diagnosis_row` and `frequency_scale` of the plate}
     """
     if number not in (1, 5):
         return
@@ -223,9 +223,9 @@ def measured_beside(number: int) -> tuple[str, ...]:
 
 
 def frequency_scale(name: str) -> dict[str, float]:
-    """How many times the printed plate's the measured frequencies are, and the rms that this leaves, %.
+    """Ratio of the measured to the computed frequencies, and the rms left after scaling by it, %.
 
-    The factor is the geometric mean of measured over computed frequencies, from the reference constants.
+    The ratio is a geometric mean; the frequencies are computed at the reference constants.
     """
     measurement = builtin(name).measurement
     assert measurement is not None
@@ -238,12 +238,12 @@ def frequency_scale(name: str) -> dict[str, float]:
 
 
 def _thickness_mm(name: str) -> float:
-    """Of Table 2, or of Table 1's plate."""
+    """Thickness in Table 2, or of Table 1's plate."""
     return to_user("thickness", builtin(name).plate.thickness)
 
 
 def _of_one_material(name: str) -> dict[str, float]:
-    """Thicknesses of the other plates of the material, mm."""
+    """Thicknesses of the other plates of the same material, mm."""
     names = [row.specimen for row in printed_table(2).rows]
     alike = (other for other in names if other != name and _material(other) == _material(name))
     return {other: _thickness_mm(other) for other in alike}
@@ -254,7 +254,7 @@ def _material(name: str) -> str | None:
 
 
 def _rms_percent(row: PrintedRow) -> float:
-    """Root mean square of the printed frequencies over the measured ones, less one, %."""
+    """Root mean square of printed / measured - 1, %."""
     measurement = builtin(row.specimen).measurement
     assert measurement is not None
     pairs = zip(row.values.values(), measurement.frequencies, strict=True)
@@ -263,7 +263,7 @@ def _rms_percent(row: PrintedRow) -> float:
 
 
 def diagnosis_row(document: Mapping[str, Any]) -> dict[str, Any]:
-    """The part that is kept of the document of `diagnose` about one plate, or of a group of study 12."""
+    """What is stored of a `diagnose` document, of one plate or of a group of study 12."""
     extended, gain = document["extended"], document["gain"]
     return {
         "plain_rms_percent": document["baseline"]["rms_percent"],
@@ -280,7 +280,7 @@ def diagnosis_row(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _sizes(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Sizes of what is claimed, of each cause in the most probable set that it belongs to, by name."""
+    """Sizes of the claimed causes, each from the most probable set that contains it, by name."""
     hypotheses = document["hypotheses"]
     claimed = document["causes"] or ([] if document["claim"] == "none" else [hypotheses[0]["cause"]])
     found: dict[str, Any] = {}
@@ -292,11 +292,11 @@ def _sizes(document: Mapping[str, Any]) -> dict[str, Any]:
 
 Kind = Literal["forward", "constants", "noise", "angles", "layups"]
 OF_FULL_EFFORT: Final[tuple[Kind, ...]] = ("angles", "layups")
-"""Kinds that a small effort leaves out."""
+"""Kinds skipped by the small effort."""
 
-# F of two swarms that found the same optimum differs by no more than this fraction.
+# Objectives F of two swarms at the same optimum differ by no more than this fraction.
 _SAME_OPTIMUM: Final = 1e-3
-# Half the width of a 95 % interval of a normal distribution, in standard deviations.
+# Half width of the 95 % interval of a normal distribution, in standard deviations.
 _NORMAL_95: Final = 1.96
 
 
@@ -304,10 +304,10 @@ _NORMAL_95: Final = 1.96
 class Effort:
     """How much is computed.
 
-    swarms : single ones on each plate, each as the paper has it.
-    groups : of perturbed lists at each level.
-    full : finite elements beside the Ritz method, posteriors by emcee and not the linearised one, searches of
-    angles and constants together, and posteriors over layups of lists with noise.
+    swarms : single swarms on each plate, each as in the paper.
+    groups : perturbed lists at each level.
+    full : finite elements beside the Ritz method, posteriors by emcee instead of linearised ones, joint
+    searches of angles and constants, and posteriors over layups of perturbed lists.
     """
 
     swarms: int
@@ -331,7 +331,7 @@ QUICK: Final = Effort(
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One computation. table : whose printed constants are held against the frequencies too."""
+    """One computation. table : whose printed constants are also tested against the frequencies."""
 
     kind: Kind
     specimen: str
@@ -341,12 +341,12 @@ class Task:
 
     @property
     def title(self) -> str:
-        """For the progress and the record: what is computed."""
+        """Name of the task in the progress display and in the record."""
         return f"{self.kind} {self.specimen}" + (f", {self.case}" if self.kind == "constants" else "")
 
 
 def work(effort: Effort, task: Task) -> Results:
-    """Do one task and return plain data, with the seconds of a processor that it took."""
+    """Do one task and return plain data, with the CPU seconds it took."""
     start = time.process_time()
     computed = _DONE_BY[task.kind](effort, task)
     return {**computed, "seconds": time.process_time() - start}
@@ -364,7 +364,7 @@ def _forward(effort: Effort, task: Task) -> Results:
 
 
 def _constants(effort: Effort, task: Task) -> Results:
-    """The optimum that several swarms find, single swarms, the posterior, the misfit of printed constants."""
+    """Best optimum of several swarms, single swarms, the posterior, misfit of the printed constants."""
     specimen = case_specimen(task.specimen, task.case)
     best = estimate_constants(specimen, task.seed, swarms=MOST_SWARMS, settings=effort.swarm)
     seeds = range(task.seed, task.seed + effort.swarms)
@@ -409,7 +409,7 @@ def _sampled(posterior: SampledResult) -> dict[str, dict[str, float]]:
 
 
 def _linearised(constants: Sequence[Constant]) -> dict[str, dict[str, float]]:
-    """To first order about the optimum, within the bounds; all between these where the sd is not known."""
+    """Linearised intervals about the optimum, cut at the bounds; the bounds where the sd is not known."""
     computed = {}
     for c in constants:
         half = _NORMAL_95 * c.sd if math.isfinite(c.sd) else math.inf
@@ -424,7 +424,7 @@ def _linearised(constants: Sequence[Constant]) -> dict[str, dict[str, float]]:
 
 
 def printed_rows(table: int, name: str, case: str) -> tuple[PrintedRow, ...]:
-    """Rows of a table with identified constants of a specimen, by the number of constants."""
+    """Rows with identified constants of a specimen in a table, chosen by their number."""
     rows = printed_table(table).rows
     chosen = [r for r in rows if r.specimen == name and r.role == "identified" and "E1_GPa" in r.values]
     return tuple(r for r in chosen if case not in (TWO, FOUR) or (case == FOUR) == ("E2_GPa" in r.values))
@@ -442,7 +442,7 @@ def _misfit(specimen: Specimen, row: PrintedRow) -> Mapping[str, float]:
 
 
 def _noise(effort: Effort, task: Task) -> Results:
-    """The paper's repetition on the measured list, eq. (12) on the root mean square frequency."""
+    """The paper's repetition on the measured list: eq. (12) on the root mean square frequency."""
     result = sensitivity(
         task.specimen,
         seed=task.seed,
@@ -495,10 +495,10 @@ _DONE_BY: Final[Mapping[Kind, Callable[[Effort, Task], Results]]] = {
 def hadamard(
     task: Task, found: Results, layups: int | None, repeatability_percent: float, rounding: float
 ) -> Record:
-    """Existence and uniqueness by what `well_posed` found.
+    """Hadamard's conditions of a case, from the result of `well_posed`.
 
     layups : stacking sequences in the 95 % set where angles are unknown too, None where not computed
-    repeatability_percent : 97.5 % quantile of this package's prior of what a tap test repeats within
+    repeatability_percent : 97.5 % quantile of this package's prior of the repeatability of a tap test
     rounding : rms relative error of the list, %, from its last printed digit
     """
     left = found["left_percent"]
@@ -546,7 +546,7 @@ def stamp(results: Results) -> Results:
 
 
 def read(directory: Path, effort: Effort, task: Task) -> Results | None:
-    """The stored results of a task, None where there are none or other inputs, or set aside as damaged."""
+    """The stored results of a task; None where missing, from other inputs, or damaged, which is set aside."""
     path = _path(directory, effort, task)
     try:
         content = read_sealed(path)
@@ -563,7 +563,7 @@ def read(directory: Path, effort: Effort, task: Task) -> Results | None:
 
 
 def write(directory: Path, effort: Effort, task: Task, results: Results) -> None:
-    """Store a finished task; a directory that cannot be written to ends the storing, not the work."""
+    """Store a finished task; silently skipped where the directory cannot be written."""
     with suppress(OSError):
         directory.mkdir(parents=True, exist_ok=True)
         write_sealed(_path(directory, effort, task), json.dumps(results, indent=1).encode())
@@ -573,7 +573,7 @@ def write(directory: Path, effort: Effort, task: Task, results: Results) -> None
 def packaged(name: str) -> Mapping[str, Any]:
     """Packaged results with version and date: "calculix", "diagnoses", "sequences", "swarms", "tasks".
 
-    Tasks are there by title.
+    Those of tasks are keyed by title.
     """
     resource = files("cpam_bayes") / "data" / "paper" / "computed" / f"{name}.json"
     computed: Mapping[str, Any] = json.loads(resource.read_text(encoding="utf-8"))
@@ -581,7 +581,7 @@ def packaged(name: str) -> Mapping[str, Any]:
 
 
 def comes_with_the_package(task: Task) -> Results | None:
-    """The packaged results of a task at the full effort, None where there are none of its seed."""
+    """The packaged results of a task at the full effort, None where there are none for its seed."""
     stored: Mapping[str, Results] = packaged("tasks")["tasks"]
     return stored.get(task.title) if task.seed == packaged("tasks")["seed"] else None
 
@@ -594,7 +594,7 @@ T = TypeVar("T")
 
 
 def _of_each(key: str, names: Sequence[str], of: Callable[[str], T]) -> dict[str, Any]:
-    """What some plates give, by name under a key, with the seconds of each and of all."""
+    """The result of each plate by name under a key, with the seconds of each and in all."""
     found, seconds = {}, {}
     for name in names:
         start = time.perf_counter()
@@ -604,12 +604,12 @@ def _of_each(key: str, names: Sequence[str], of: Callable[[str], T]) -> dict[str
 
 
 def seconds_of(stored: Mapping[str, Any], names: Sequence[str]) -> float:
-    """What these plates took of the work of `calculix_frequencies` and the like."""
+    """Seconds spent on these plates in results of `calculix_frequencies` and the like."""
     return float(sum(stored["seconds_each"].get(name, 0.0) for name in names))
 
 
 def calculix_frequencies(names: Sequence[str], watch: Watch) -> dict[str, Any]:
-    """Frequencies of plates by 20-node bricks, Hz."""
+    """Frequencies of plates by 20-node bricks of CalculiX, Hz."""
     return _of_each(
         "frequencies_hz", names, lambda name: forward(name, solver="ccx", watch=watch).frequencies.tolist()
     )
@@ -637,11 +637,11 @@ def sequence_cases(
     return _of_each("cases", names, of)
 
 
-# Fuzzy swarms on each measured list, of different seeds.
+# Number of fuzzy swarms, of different seeds, on each measured list.
 _FREE_SWARMS: Final = 20
 
 
 def swarms_without_noise(names: Sequence[str], effort: Effort) -> dict[str, Any]:
-    """Angles that fuzzy swarms end at on the measured lists of plates."""
+    """Angles at which fuzzy swarms end on the measured lists of plates."""
     seeds = range(_FREE_SWARMS)
     return _of_each("cases", names, lambda name: searched_without_noise(name, seeds, effort.swarm))

@@ -1,4 +1,4 @@
-"""The coin test: was a mass stuck to the plate between two lists, how heavy, where? The question `prove`."""
+"""The question `prove`, the coin test: mass and place of a coin stuck to the plate between two lists."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ from cpam_bayes.running import SILENT, Watch
 __all__ = ["Coin", "CoinResult", "prove"]
 
 _MOST_LISTS: Final = 50
-# Draws of the constants that the first list leaves open.
+# Draws of the constants, over what the first list leaves undetermined.
 _DRAWS: Final = 12
-# How well plates are weighed and gauged where the file does not say, relative.
+# Relative sd of plate mass, thickness and density where the file states none.
 _WEIGHED, _THICKNESS, _DENSITY = 0.002, 0.01, 0.01
 
 
@@ -50,16 +50,16 @@ def prove(
     seed: int = 0,
     watch: Watch = SILENT,
 ) -> CoinResult:
-    """The mass and place of what was stuck to a plate after its first list was measured.
+    """The mass stuck to a plate after its first list was measured, and its place.
 
     Parameters
     ----------
-    plate : what `read_plate` takes, with the list without the mass
-    lists : each with one mass: a table, a TOML file with frequencies_hz, or frequencies in Hz; of the same
-        modes as the first list
-    sealed : a TOML file with a [[coin]] for each list: mass_g, x_mm, y_mm. Its SHA-256 is shown first, and it
-        is compared after the answer; mass_g = 0 is a list without a mass
-    watch : display of the progress; none where left out
+    plate : as for `read_plate`, with the list measured without the mass
+    lists : one per mass: a table, a TOML file with frequencies_hz, or frequencies in Hz; of the same modes as
+        the first list
+    sealed : a TOML file with a [[coin]] for each list: mass_g, x_mm, y_mm; mass_g = 0 for a list without a
+        mass. Its SHA-256 is shown first; the masses are compared after the answer
+    watch : progress display; none if left out
 
     Raises
     ------
@@ -121,7 +121,7 @@ def prove(
 
 
 def _require_described(point: PointResult) -> None:
-    """The shapes of the modes say where a mass is: of another plate they say nothing."""
+    """Refuse a plate that the model does not describe: only its own mode shapes locate a mass."""
     if any(notice.code == "large_misfit" for notice in point.notices):
         off = significant(100.0 * point.estimate.rms, 2)
         raise PlateFileError(
@@ -131,7 +131,7 @@ def _require_described(point: PointResult) -> None:
 
 
 def _loaded(point: PointResult) -> LoadedPlate:
-    """The modes of the identified plate, and their scatter over what its list leaves open."""
+    """The modes of the identified plate, with their scatter over the draws of the constants."""
     estimate, specimen = point.estimate, point.specimen
     measurement, _ = required(specimen)
     assert estimate.draws is not None
@@ -150,7 +150,7 @@ def _loaded(point: PointResult) -> LoadedPlate:
 
 
 def _repeatability(first: Measurement, second: Measurement) -> Repeatability:
-    """The repeatability of both lists together, as that of each."""
+    """Root mean square of the repeatabilities of both lists, used for each."""
     stated = [
         m.noise_sd(m.relative_std or 0.0) / m.frequencies
         for m in (first, second)

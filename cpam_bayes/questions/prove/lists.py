@@ -1,4 +1,4 @@
-"""The lists after the first one, and the seal, as `prove` reads them."""
+"""Input of `prove`: the further lists and the seal."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SEALED_KEYS: Final = ("mass_g", "x_mm", "y_mm")
 
 
 def given_twice(first: Measurement, further: Sequence[tuple[str, Measurement]]) -> Iterator[Notice]:
-    """A notice for each list whose frequencies are those of one before it."""
+    """Notices for lists whose frequencies repeat those of an earlier list."""
     names = {tuple(first.frequencies): "the first list"}
     for name, measurement in further:
         frequencies = tuple(measurement.frequencies)
@@ -42,7 +42,7 @@ def _content(path: str, accepted: str) -> bytes:
 
 
 def require_complete(specimen: Specimen, first: Measurement) -> None:
-    """Refuse a first list in which modes may be missing."""
+    """Refuse a first list that may lack modes."""
     if not first.complete:
         raise PlateFileError(
             f"{specimen.source}: measurement.complete is false; prove compares lists mode by mode: "
@@ -51,7 +51,7 @@ def require_complete(specimen: Specimen, first: Measurement) -> None:
 
 
 def list_of(given: ListLike, specimen: Specimen, first: Measurement) -> tuple[str, Measurement]:
-    """The name of a further list, and what it says; noise that it does not state is that of the first."""
+    """Name and content of a further list; noise that it does not state is that of the first list."""
     if isinstance(given, str | os.PathLike):
         name = os.fspath(given)
         if Path(name).suffix.casefold() == ".toml":
@@ -104,7 +104,7 @@ def _of_as_many(name: str, found: Measurement, first: Measurement) -> Measuremen
 def seal_of(
     sealed: str | os.PathLike[str] | None, n: int, plate: Plate
 ) -> tuple[tuple[tuple[float, float, float], ...], str]:
-    """Masses and places of the sealed file, SI, and its SHA-256; what is wrong is said without its values."""
+    """Masses and places in the sealed file, SI, and its SHA-256; errors do not reveal its values."""
     if sealed is None:
         return (), ""
     source = os.fspath(sealed)

@@ -1,4 +1,4 @@
-"""How the coin test is shown: the screen, the certificate, the document, the picture."""
+"""The report of the coin test: screen, certificate, document, drawing."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _GRAM, _MILLIMETRE = 1e3, 1e3
-# Probability above which a claim is written as nearly certain.
+# Probability above which a claim is reported as nearly certain.
 _SURE: Final = 0.9995
 
 
@@ -90,9 +90,9 @@ _COLUMNS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class _Shifted:
-    """One frequency of a sealed list, Hz: without the mass, and as predicted from it with the seal.
+    """One frequency of a sealed list, Hz: without the mass, as predicted with the sealed mass, as measured.
 
-    sd : of the prediction, relative. is_inside : whether its 95 % interval holds the measured one
+    sd : of the prediction, relative. is_inside : whether its 95 % interval holds the measured frequency
     """
 
     name: str
@@ -105,7 +105,6 @@ class _Shifted:
 
 
 def _shifted(result: CoinResult) -> tuple[_Shifted, ...]:
-    """The frequencies of all sealed lists."""
     measurement = result.specimen.measurement
     assert measurement is not None
     return tuple(
@@ -140,7 +139,6 @@ _SHIFT_COLUMNS: Final = (
 
 @present.register
 def _present(result: CoinResult) -> Report:
-    """The mass found, the mass stated, and their agreement."""
     rows = Rows("coins", _COLUMNS, result.coins, lambda c: c.is_inside is False)
     shifts = Rows("shifts", _SHIFT_COLUMNS, _shifted(result), lambda s: not s.is_inside)
     of_seal = (shifts.table("Frequencies that the first list and the seal predict"),) if shifts.rows else ()
@@ -191,7 +189,7 @@ def _limit(limit: float) -> str:
 
 
 def _mirrored(result: CoinResult) -> tuple[str, ...]:
-    """What is said of the places that no list tells from the one that was found."""
+    """Sentence on the mirror-image places, which no list distinguishes from the one found."""
     several = [coin for coin in result.coins if coin.is_added and coin.found.images]
     if not several:
         return ()
@@ -200,7 +198,6 @@ def _mirrored(result: CoinResult) -> tuple[str, ...]:
 
 
 def _or_images(coin: Coin) -> str:
-    """The mirror images of a place, as a text."""
     return f"{listed([_where(place) for place in coin.found.images], 'or')} mm"
 
 
@@ -232,7 +229,7 @@ def _headline(result: CoinResult) -> str:
 
 
 def _agreement(result: CoinResult) -> tuple[str, ...]:
-    """Agreement of several coins: coverage, and found over stated masses, a check of weight and sizes."""
+    """Agreement over several lists: coverage, and found / stated mass, a check of mass and sizes."""
     known = [c for c in result.coins if c.stated is not None and c.stated.mass and c.is_added]
     coverage = result.coverage
     if coverage is None or len(result.coins) < 2:
@@ -250,13 +247,12 @@ def _agreement(result: CoinResult) -> tuple[str, ...]:
 
 
 def _sealed(coin: Coin) -> str:
-    """The mass in the seal."""
     assert coin.stated is not None
     return f"{significant(_GRAM * coin.stated.mass, 3)} g" if coin.stated.mass else "no mass"
 
 
 def _found_for(coin: Coin) -> str:
-    """What was found for what was sealed."""
+    """What was found, beside what was sealed."""
     found = coin.found.finding
     shown = f"{_grams(coin)} g"
     if found is Finding.OTHER:
@@ -269,12 +265,12 @@ def _found_for(coin: Coin) -> str:
 
 
 def _inside(coin: Coin) -> str:
-    """How many shifts are as the first list and the seal predict."""
+    """Number of shifts that agree with the prediction from the first list and the seal."""
     return f"{coin.shifts_inside} of {len(coin.shifts)} shifts lie inside their 95 % intervals"
 
 
 def _certificate(result: CoinResult) -> tuple[tuple[str, str], ...]:
-    """The whole test, a sentence for each list that was sealed."""
+    """The certificate: label and sentence, one pair for each list."""
     limit = result.detection_limit
     shown = "none" if limit is None else _limit(limit)
     rows = [("plate", result.specimen.name)]

@@ -1,4 +1,4 @@
-"""The answer of the coin test: what each further list says, and the seal."""
+"""The result of the coin test: the finding of each further list, and the seal."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from cpam_bayes.result import PlateResult
 
 Array = NDArray[Any]
 
-# Standard deviations of a 95 % interval.
+# Half width of a 95 % interval in standard deviations.
 _WITHIN: Final = 1.96
 
 
 @dataclass(frozen=True, slots=True)
 class Stated:
-    """The content of the seal, SI. shifts, sd : (n,) of ln f' - ln f that the first list predicts for it."""
+    """One sealed coin, SI. shifts, sd : (n,) ln f' - ln f predicted for it from the first list."""
 
     mass: float
     place: tuple[float, float]
@@ -29,13 +29,13 @@ class Stated:
     sd: Array
 
     def holds(self, shifts: Array) -> Array:
-        """Whether shifts (n,) are inside the 95 % intervals, (n,)."""
+        """Whether shifts (n,) are inside their 95 % intervals, (n,)."""
         return np.asarray(np.abs(shifts - self.shifts) <= _WITHIN * self.sd)
 
 
 @dataclass(frozen=True, slots=True)
 class Coin:
-    """One further list. name : of its file; found : what it says; shifts : (n,) ln f' - ln f, measured."""
+    """One further list. name : of its file; found : the finding; shifts : (n,) ln f' - ln f, measured."""
 
     name: str
     found: AddedMass
@@ -49,14 +49,14 @@ class Coin:
 
     @property
     def distance(self) -> float | None:
-        """From the stated place to the one that was found, or its nearest mirror image, m."""
+        """Distance from the stated place to the found one, or to its nearest mirror image, m."""
         if self.stated is None or not self.stated.mass or not self.is_added:
             return None
         return self.found.distance(*self.stated.place)
 
     @property
     def is_inside(self) -> bool | None:
-        """Whether the 95 % interval holds the stated mass; of a list without one, that none is claimed."""
+        """Whether the 95 % interval holds the stated mass; if none is stated, whether none is claimed."""
         if self.stated is None:
             return None
         if not self.stated.mass:
@@ -66,21 +66,21 @@ class Coin:
 
     @property
     def shifts_inside(self) -> int | None:
-        """Number of shifts within the 95 % intervals that the first list and the seal predict."""
+        """Number of shifts inside the 95 % intervals predicted from the first list and the seal."""
         return None if self.stated is None else int(np.sum(self.stated.holds(self.shifts)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class CoinResult(PlateResult):
-    """The mass stuck to a plate after its first list, by each further list.
+    """The masses stuck to a plate after its first list, one for each further list.
 
     Attributes
     ----------
     coins : in the order of the lists
-    hash : SHA-256 of the sealed file as it was before the answer, "" without one
-    detection_limit : mass that is claimed with 95 % probability, kg; None where none is
-    spread : of several sealed lists, the 95 % interval of the relative repeatability and the bound of the
-        error of a shift, as of `spread_of_shifts`
+    hash : SHA-256 of the sealed file before the answer, "" without one
+    detection_limit : mass that is claimed with 95 % probability, kg; None if there is none
+    spread : for several sealed lists, the 95 % interval of the relative repeatability and the bound of the
+        error of a shift, see `spread_of_shifts`
     point : the identification from the first list
     """
 
@@ -94,7 +94,7 @@ class CoinResult(PlateResult):
 
     @property
     def coverage(self) -> Mapping[str, float] | None:
-        """Shares of masses and of shifts inside their 95 % intervals; None without a seal."""
+        """Coverage of the 95 % intervals of masses and of shifts; None without a seal."""
         inside = [coin.is_inside for coin in self.coins if coin.is_inside is not None]
         if not inside:
             return None

@@ -40,7 +40,7 @@ SMOOTH = replace(ANYTHING, correlation_length=0.8)
 
 
 def rounded(relative, of=None):
-    """A list that is rounded to 1 Hz, by default of a warped plate."""
+    """A list rounded to 1 Hz, by default of a warped plate."""
     plate = case(toy.a_list(NOISY, relative, 1.0), [(NARROW_WARP, toy.even(BUMP))])
     return comparison_of([plate], of or hypothesis(NARROW_WARP))
 
@@ -102,7 +102,7 @@ def test_the_likelihood_is_that_of_the_covariance_and_a_frequency_given_the_othe
 
 @EVERY
 def test_the_curvature_is_the_information_of_the_residuals(comparison):
-    """Of a Gaussian whose mean and covariance move, and of the prior, one in every score."""
+    """Of a Gaussian whose mean and covariance depend on the scores, plus one per score from the prior."""
     (z,), to_x = scores(comparison, 1), comparison.scores.to_x
     n, listed = len(z), comparison.listed.frequencies
     inverse = np.linalg.inv(comparison.covariance(to_x(z[None]))[0])
@@ -162,14 +162,13 @@ def test_a_false_peak_lies_anywhere_below_the_last_frequency_and_missed_modes_mo
         return comparison_of([case(toy.a_list(f, 0.003))], Hypothesis("mode_identity", "list", listed=change))
 
     false, kept = changed(NOISY, ListChange(spurious=3)), np.delete(NOISY, 3)
-    # frequencies above it belong to one mode less
+    # frequencies above it have modes one lower
     expected = norm.logpdf(kept * np.log(kept / F0[:7]), 0.0, 0.003 * kept).sum() - np.log(NOISY[-1])
     assert false.log_likelihood(np.ones((1, 2)))[0] == pytest.approx(expected, rel=1e-12)
     assert changed(NOISY[:6], ListChange(missed=(1, 4))).model.parts[0].modes.tolist() == [0, 2, 3, 5, 6, 7]
 
 
 def constrained(comparison, below):
-    """The same where the first constant must be below a limit."""
     (part,) = comparison.model.parts
     cut = replace(part, bare=replace(part.bare, allowed=lambda x: x[:, 0] < below))
     return replace(comparison, model=replace(comparison.model, parts=(cut,)))
@@ -186,8 +185,7 @@ def test_points_that_break_the_constraints_have_no_density_and_the_priors_slope(
     np.testing.assert_allclose(found.value[inside], comparison.expand(z).value[inside], rtol=1e-13)
 
 
-# Error, nats, of the evidence by optima and nodes: hypotheses ten nats from the best are sampled.
-ROUGHLY = 1.5
+ROUGHLY = 1.5  # tolerance of evidences by optima and nodes, nats: those within ten of the best are sampled
 
 
 def plain(f, noise=NOISE):
@@ -195,7 +193,6 @@ def plain(f, noise=NOISE):
 
 
 def compared(f, of, shift, noise=NOISE):
-    """A list under the hypothesis of a cause that shifts the modes so."""
     return comparison_of([case(toy.a_list(f, noise), [(of, shift)])], hypothesis(of))
 
 
@@ -204,8 +201,7 @@ def weighed(comparison, sizes=(2,), least=-np.inf):
 
 
 def by_quadrature(f, prior, shape, t=None):
-    """Log evidence of ln f = ln F0 + A c + shape(t) BUMP, and the mean and standard deviation of t.
-    c in closed form, t by the trapezoidal rule, by default over 20001 points of its prior."""
+    """Log evidence of ln f = ln F0 + A c + shape(t) BUMP, c in closed form; and mean and sd of t."""
     t = np.linspace(prior.lower, prior.upper, 20001) if t is None else t
     slope = SD * A * f[:, None]
     covariance = slope @ slope.T + np.diag((NOISE * f) ** 2)
@@ -223,7 +219,7 @@ def test_without_an_effect_a_linear_model_has_the_evidence_and_moments_of_the_ga
     covariance = np.linalg.inv(slope.T @ slope + np.eye(2) / SD**2)
     expected = 1.0 + covariance @ slope.T @ np.log(f / F0) / NOISE
     sd, laplace = np.sqrt(np.diag(covariance)), weighed(plain(f), ())
-    # a Gaussian in scores: only rounding is left
+    # Gaussian in the scores: only rounding remains
     assert laplace.log_evidence == pytest.approx(toy.exact_log_evidence(f, NOISE * f), abs=1e-6)
     for found, near in ((laplace, 0.01), (sampled_marginal(laplace), 0.03)):
         mean, spread = found.moments()
@@ -233,8 +229,7 @@ def test_without_an_effect_a_linear_model_has_the_evidence_and_moments_of_the_ga
 
 
 def test_a_second_optimum_at_another_size_counts_where_the_plain_model_explains_the_list():
-    # no size and one of -0.15 shift the modes alike, and the data determine the size about either
-    two_fold, prior, f = -0.15, toy.whole_normal(0.1), toy.measured()
+    two_fold, prior, f = -0.15, toy.whole_normal(0.1), toy.measured()  # 0 and -0.15 shift the modes alike
 
     def shift(t):
         return t[:, None] * (t[:, None] - two_fold) * BUMP, (2.0 * t[:, None] - two_fold) * BUMP
@@ -248,7 +243,7 @@ def test_a_second_optimum_at_another_size_counts_where_the_plain_model_explains_
 
 
 EACH_SIZE = [(size, NOISE) for size in (0.0, 0.004, 0.02, -0.05)]
-EACH_NOISE = [(0.017, noise) for noise in (0.01, 1e-3, 1e-4, 2e-5)]  # at the last one it is 6e-4 scores wide
+EACH_NOISE = [(0.017, noise) for noise in (0.01, 1e-3, 1e-4, 2e-5)]  # at last 6e-4 scores wide
 
 
 @pytest.mark.parametrize(("size", "noise"), EACH_SIZE + EACH_NOISE)
@@ -266,23 +261,19 @@ def test_an_even_effect_has_both_its_peaks_in_the_evidence(size, prior):
     f, warp = toy.measured(size**2 * BUMP), toy.cause("warp", prior, is_even=True)
     expected, mean, sd = by_quadrature(f, prior, np.square)
     found = weighed(compared(f, warp, toy.even(BUMP)))
-    # what decides which hypotheses are sampled
-    assert found.log_evidence == pytest.approx(expected, abs=ROUGHLY)
+    assert found.log_evidence == pytest.approx(expected, abs=ROUGHLY)  # decides which hypotheses are sampled
     sampled = sampled_marginal(found)
     assert sampled.log_evidence == pytest.approx(expected, abs=3.0 * sampled.error)
     assert sampled.error < 0.05
-    # neither sign is preferred, and their square is known
-    weight, t = np.exp(sampled.log_weight), sampled.draws[:, 2]
+    weight, t = np.exp(sampled.log_weight), sampled.draws[:, 2]  # neither sign is preferred
     assert weight @ (t > 0.0) == pytest.approx(0.5, abs=0.06)
     assert weight @ t**2 == pytest.approx(mean**2 + sd**2, rel=0.05)
 
 
 @pytest.mark.parametrize("size", [-0.02, 0.0, 0.05])
 def test_a_one_sided_effect_may_pile_up_at_zero(size):
-    """The data may ask for a negative size."""
     prior, f = ScaledStudentT(0.02, 4.0, 0.0, 0.16), toy.measured(size * BUMP)
-    # a likelihood that falls from zero on may do so within 1e-4
-    t = np.concatenate(([0.0], np.geomspace(1e-7, 0.16, 4000)))
+    t = np.concatenate(([0.0], np.geomspace(1e-7, 0.16, 4000)))  # may fall off within 1e-4
     expected, mean, sd = by_quadrature(f, prior, lambda t: t, t)
     laplace = weighed(compared(f, toy.cause("dust", prior), toy.straight(BUMP)))
     assert laplace.log_evidence == pytest.approx(expected, abs=ROUGHLY)
@@ -307,14 +298,12 @@ def test_inferred_noise_is_integrated_by_importance_sampling():
     f = toy.measured(noise=0.006)
     comparison = plain(f, None)
     prior = comparison.parameters["relative_std"].prior
-    # even in the logarithm: the density is smooth there
-    s = np.exp(np.linspace(np.log(prior.lower), np.log(prior.upper), 4001))
+    s = np.exp(np.linspace(np.log(prior.lower), np.log(prior.upper), 4001))  # where the density is smooth
     log_p = np.array([toy.exact_log_evidence(f, v * f) for v in s]) + prior.log_density(s) + np.log(s)
     expected, laplace = logsumexp(log_p, b=np.log(s[1] / s[0])), weighed(comparison, ())
     found = sampled_marginal(laplace)
     assert found.log_evidence == pytest.approx(expected, abs=3.0 * found.error)
-    # Laplace's method alone misses the skewness of the noise's score
-    assert laplace.log_evidence == pytest.approx(expected, abs=0.4)
+    assert laplace.log_evidence == pytest.approx(expected, abs=0.4)  # Laplace misses the skewness
 
 
 def test_a_hopeless_hypothesis_is_not_refined():
@@ -337,7 +326,7 @@ def test_what_lies_outside_the_constraints_carries_nothing():
     comparison, middle = plain(toy.measured(noise=0.05), 0.05), 1.03
     whole, found = (sampled_marginal(weighed(c, ())) for c in (comparison, constrained(comparison, middle)))
     share = np.exp(whole.log_weight) @ (whole.draws[:, 0] < middle)
-    assert found.log_evidence - whole.log_evidence == pytest.approx(np.log(share), abs=0.1)  # of 512 points
+    assert found.log_evidence - whole.log_evidence == pytest.approx(np.log(share), abs=0.1)  # 512 points
     assert np.all(found.draws[np.isfinite(found.log_weight), 0] < middle)
 
 
@@ -354,13 +343,12 @@ def test_emcee_and_importance_sampling_agree(of, relative):
     sampler.run_mcmc(start, 1500)
     draws = comparison.scores.to_x(sampler.get_chain(discard=300, flat=True))
     mean, sd = found.moments()
-    # four standard errors of a mean and of a standard deviation; chains have at least 1000 effective samples
-    error = np.sqrt(np.sum(np.exp(found.log_weight) ** 2) + 1.0 / 1000.0)
+    error = np.sqrt(np.sum(np.exp(found.log_weight) ** 2) + 1.0 / 1000.0)  # chains of 1000 effective samples
     np.testing.assert_array_less(np.abs(draws.mean(axis=0) - mean) / sd, 4.0 * error)
     np.testing.assert_allclose(draws.std(axis=0), sd, rtol=4.0 * error)
 
 
-# The model of a hypothesis: effects put together, several plates, lists with slips
+# Model of a hypothesis: several effects, several plates, lists with slips
 BARE = toy.plate_model()
 (BEND,), (DUST,) = BENT.parameters, toy.WARP.parameters
 WITH_BEND = toy.plate_model(shift=toy.straight(BUMP), parameter=BEND)
@@ -383,12 +371,12 @@ def bend(column=2):
 
 
 def assert_predicts(model, x, expected):
-    """Frequencies, and derivatives that are their difference quotients."""
+    """Check frequencies, and that derivatives equal difference quotients."""
     found = model.predict(x[None], jacobian=True)
     np.testing.assert_allclose(found.frequencies[0], expected, rtol=1e-13)
     assert found.jacobian.shape == (1, len(expected), len(x))
     slopes = toy.differences(lambda v: model.predict(v).frequencies, x)
-    # central differences with a step of 1e-6 of frequencies of some 1e2 Hz: rounding 1e-8, curvature less
+    # central differences, step 1e-6, of frequencies of about 1e2 Hz: rounding 1e-8, curvature less
     np.testing.assert_allclose(found.jacobian[0], slopes, atol=2e-6 * F0.max(), rtol=2e-7)
 
 
@@ -417,7 +405,7 @@ def test_a_frequency_that_is_misread_is_multiplied():
 
 
 def test_each_plate_has_its_own_deviation_from_the_shared_constants():
-    """The effect of the second one is the first parameter, and then the constants."""
+    """The effect of the second plate is the first parameter, then come the constants."""
     scatter, constants = (normal(f"scatter {i}") for i in range(4)), np.array([1, 2])
     one = Part(BARE, constants, np.array([3, 4]), (), EVERY_MODE[:5])
     two = Part(BARE, constants, np.array([5, 6]), (bend(0),), EVERY_MODE[2:])

@@ -1,4 +1,4 @@
-"""Evidences on models of real plates: projected once more, hard to integrate, shared out over workers."""
+"""Evidences on models of real plates: projected once more, hard to integrate, distributed over workers."""
 
 import pickle
 from concurrent.futures import ThreadPoolExecutor
@@ -24,9 +24,9 @@ from validation.evidence_reference import ReferenceSettings, reference_evidence
 
 
 def test_models_about_a_posterior_have_fewer_vectors_and_the_evidence_and_moments_of_the_whole_ones():
-    """Of a plate whose list is that of a tapered one, nearly, under the hypothesis that it is."""
+    """The list is nearly that of a tapered plate, under the hypothesis of a taper."""
     plate = aluminium_case().models.specimen
-    # bounds alone: a model has the more to be good for
+    # bounds only, so that a model has to cover more
     exact = plate_case(replace(plate, material=replace(plate.material, known=False)))
     exact = replace(exact, models=replace(exact.models, tolerances={}))
     case = listed(exact, np.array([1.004, 0.998, 1.002, 0.997, 1.003, 1.001]))
@@ -39,11 +39,10 @@ def test_models_about_a_posterior_have_fewer_vectors_and_the_evidence_and_moment
     before, after = (max(block.size for block in model.fast.operator.blocks) for model in models)
     assert after < 0.8 * before
     found, expected = (sampled_marginal(replace(tapered, comparison=c)) for c in (near, whole))
-    # an error of 2e-5 is a hundredth of the noise
-    assert found.log_evidence == pytest.approx(expected.log_evidence, abs=0.02)
+    assert found.log_evidence == pytest.approx(expected.log_evidence, abs=0.02)  # a hundredth of the noise
     mean, sd = expected.moments()
     np.testing.assert_array_less(np.abs(found.moments()[0] - mean), 0.02 * sd)
-    # Ritz values of a smaller space are not lower; a few points in the tails of the proposal are further off
+    # Ritz values of a smaller space are not lower; a few points in the tails of the proposal deviate more
     draws = np.random.default_rng(0).permutation(tapered.resampled(512))
     f, exactly = (c.model.predict(draws[128:]).frequencies for c in (near, whole))
     assert (f / exactly).min() - 1.0 > -1e-9
@@ -85,11 +84,10 @@ def test_a_hidden_damage_is_found_with_a_known_evidence(form, damage, least):
         if hypothesis.effects[0].local == form:
             mean, sd = marginal.moments()
             at = list(marginal.sizes)
-            # of one list, so within three standard deviations
-            assert np.all(np.abs(mean[at] - damage) < 3.0 * sd[at])
+            assert np.all(np.abs(mean[at] - damage) < 3.0 * sd[at])  # a single list: within three sd
 
 
-# A clamp that hardly gives is weighed, not given up: the median of its prior would be a gross error.
+# A clamp that hardly gives is weighed, not rejected: the median of its prior would be a gross error.
 # Frequencies of bricks with an ideal clamp.
 CONSTANTS = {"E1_GPa": 126.0, "E2_GPa": 8.7, "nu12": 0.3, "G12_GPa": 4.9}
 MATERIAL = {"isotropic": False, **CONSTANTS, "sd": {name: 0.07 * value for name, value in CONSTANTS.items()}}
@@ -112,18 +110,18 @@ def test_springs_of_a_stiff_clamp_have_the_evidence_of_the_reference():
         slow = reference_evidence(t.marginal.comparison, t.columns, 0, settings)
         assert slow.error < 0.1
         assert t.marginal.log_evidence == pytest.approx(slow.log_evidence, abs=0.3)
-        # springs that are hardly there are the plain model, times the prior of so little of each
+        # nearly rigid springs are the plain model, times the prior probability of so small a size of each
         least = len(t.hypothesis.parameters) * np.log(0.05)
         assert t.marginal.log_evidence - tested["none"].marginal.log_evidence > least
 
 
-# Work on hypotheses: the same on any executor, with the models of this process in every answer
+# Work on hypotheses: the same with any executor, with the models of this process in every answer
 
 CAUSES = {"none", "other", "thickness", "viscoelastic", "outlier"}
 
 
 def parts(*item):
-    """What was sent, as the worker has it, in another order."""
+    """Arguments as the worker received them, in reverse order."""
     return item[::-1]
 
 

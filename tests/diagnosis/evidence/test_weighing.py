@@ -1,4 +1,4 @@
-"""Hypotheses weighed on plates whose evidences are known in closed form: sets of causes, incomplete lists."""
+"""Hypotheses weighed on plates with evidences in closed form: sets of causes, incomplete lists."""
 
 from dataclasses import replace
 from itertools import combinations, product
@@ -39,7 +39,7 @@ def plate(shift, *, n=8, name="toy", specimen=""):
 
 
 def exact(own, *causes):
-    """Relative shifts of effects multiply in the model: with large ones this is approximate."""
+    """Log evidence in closed form; approximate for large shifts, since effects multiply in the model."""
     f = own.measurement.frequencies
     return toy.exact_log_evidence(f, NOISE * f, *(SHIFTS[name] for name in causes if name != NONE))
 
@@ -53,8 +53,7 @@ def test_probabilities_are_priors_times_exact_evidences(size):
     factor = {h.cause: exact(own, h.cause) - exact(own) for h in (NOTHING, *SINGLES)}
     weight = {h.cause: h.prior * np.exp(factor[h.cause]) for h in (NOTHING, *SINGLES)}
     for t in found.tested:
-        # importance sampling's error of a log evidence is 0.03, so that of a probability p (1 - p) times it
-        expected = weight[t.hypothesis.cause] / sum(weight.values())
+        expected = weight[t.hypothesis.cause] / sum(weight.values())  # the log evidence's error is 0.03
         p = found.by_cause()[t.hypothesis.cause]
         assert p == pytest.approx(expected, abs=0.06 * expected * (1 - expected) + 1e-9)
         assert t.log_bayes_factor == pytest.approx(factor[t.hypothesis.cause], abs=0.1)
@@ -62,7 +61,6 @@ def test_probabilities_are_priors_times_exact_evidences(size):
 
 @pytest.fixture(scope="module")
 def two():
-    """Of a list with two causes at once."""
     return weigh([plate(TWO)], EVERY)
 
 
@@ -95,22 +93,19 @@ def test_a_cause_without_a_size_has_a_shift_and_a_signature_and_acts_in_pairs():
     swapped, none = found.tested[0], found.none.marginal
     assert (swapped.hypothesis.cause, swapped.probability > 0.99) == ("swapped", True)
     assert swapped.shift.scores.shape == (1, 0)
-    # a shift of the bare frequencies at the constants of the plain model
-    np.testing.assert_allclose(swapped.shift.shift[0], step, atol=1e-12)
+    np.testing.assert_allclose(swapped.shift.shift[0], step, atol=1e-12)  # at the plain model's constants
     projector = projector_of(none)
     seen = signature_of(swapped, none, projector)
     assert seen.visible_fraction > 0.5
     assert seen.largest == pytest.approx(np.abs(step).max(), rel=0.1)
     assert menu_of(swapped, none, projector).cosine(seen.visible) == pytest.approx(1.0, abs=1e-3)
-    # it stands among the causes that detection limits of others are of
-    assert "swapped" in {entry.cause for entry in detectable(found)}
+    assert "swapped" in {entry.cause for entry in detectable(found)}  # it has a detection limit
     lines = shift_lines(found.tested, none)
     assert "swapped" in linear_oracle(found, lines, 20, np.random.default_rng(0)).causes
     assert set(weigh([both], every).tested[0].hypothesis.causes) == {"swapped", "bent"}
 
 
 def weighed_beside(others, prior):
-    """The list of two causes, where others shift the modes otherwise."""
     effects = [(BENT, toy.straight(BUMP)), (DENTED, toy.straight(DENT))]
     effects += [(toy.cause(name, NORMAL), toy.straight(shift)) for name, shift in others.items()]
     singles = [toy.hypothesis(effect, prior) for effect, _ in effects]
@@ -132,7 +127,7 @@ def test_a_pair_is_found_though_other_causes_look_more_like_it_alone():
 
 
 def test_a_pair_is_found_though_one_cause_happens_to_explain_the_list():
-    # a flexible cause, a mass anywhere for instance, can come near to two others at once
+    # a flexible cause, for instance a mass anywhere, can happen to imitate two others together
     likeness = BUMP + DENT + 0.105 * np.array([1.0, -1.0, 0.5, 1.0, 1.0, -1.0, 0.0, 1.0])
     found = weighed_beside({"happens": likeness}, 0.1)
     alone = next(t for t in found.tested if t.hypothesis.cause == "happens" and not t.hypothesis.has_leftover)
@@ -160,8 +155,7 @@ def test_sets_that_are_not_fitted_are_unaccounted_for(two, monkeypatch):
     monkeypatch.setattr(sets, "SETS", SetSettings(fitted=0, fitted_further=0))
     found = weigh([plate(TWO)], EVERY)
     assert "set" not in {t.hypothesis.family for t in found.tested}
-    # of the set that is true here, fitted, more: nodes of sizes are few
-    assert two.by_cause()["bent + dented"] > found.unaccounted > 0.95
+    assert two.by_cause()["bent + dented"] > found.unaccounted > 0.95  # more, as the true set is fitted
 
 
 def test_no_pair_is_looked_at_where_none_leads_nor_one_with_a_cause_that_does_not_show():
@@ -180,7 +174,7 @@ def test_the_priors_of_sets_are_those_of_their_number_shared_by_the_products_of_
     (three,) = (together(some, scales) for some in combinations(SINGLES, 3))
     assert three.prior == pytest.approx(0.015)
     assert three.parts == tuple(sorted(SINGLES, key=lambda h: h.cause))
-    # the same whichever cause is first
+    # independent of which cause comes first
     turned = [replace(h, variant=text) for h, text in zip(SINGLES, ("left", "", "right"), strict=True)]
     assert together([together(turned[:0:-1], scales), turned[0]], scales) == together(turned, scales)
     assert together(turned, scales).variant == "left / right"
@@ -198,7 +192,7 @@ def test_what_cannot_act_together_is_no_pair():
     found = {p.causes for p in toy.pairs_of(of_clamp, of_clamp)}
     assert found == {("clamp_length", "clamp_rotation"), ("clamp_length", "clamp_slip")}
     missed = Hypothesis("mode_identity", "list", listed=ListChange(missed=(1,)), prior=0.1)
-    # two errors of one list, two variants of one cause, and a cause of a pair
+    # two errors of one list, two variants of one cause, and a cause of the pair itself
     for both in ((toy.misread(0), missed), (toy.misread(0), toy.misread(1))):
         assert toy.pairs_of(both, both) == ()
     pair = together(SINGLES[:2], {2: 1.0})
@@ -207,7 +201,7 @@ def test_what_cannot_act_together_is_no_pair():
 
 @pytest.mark.parametrize("i", [0, 3, 5])
 def test_the_misread_frequency_is_found_again_beside_a_gross_cause(i):
-    """Alone, another frequency looks misread: that one was the only one to be tried beside the cause."""
+    """Alone, another frequency looks misread, which used to be the only one tried beside the cause."""
     every = toy.of_one(NOTHING, ANYTHING, *SINGLES, *(toy.misread(k) for k in range(8)))
     own = plate(toy.with_slip(i, 0.03) + 0.04 * DENT)
     alone = weigh([own], every, sets=False)
@@ -251,8 +245,7 @@ def test_two_plates_of_one_material_share_constants_with_a_scatter():
     slope, of_one = SD * A[modes] * f[:, None], np.arange(14) < 8
     same_plate = of_one[:, None] == of_one
     covariance = slope @ slope.T * (1.0 + (scatter / SD) ** 2 * same_plate) + np.diag((NOISE * f) ** 2)
-    # a product of a constant and a deviation is not quite linear, and the scatter is cut at four sd
-    expected = toy.log_normal_density(f, F0[modes], covariance)
+    expected = toy.log_normal_density(f, F0[modes], covariance)  # not quite linear, and truncated at four sd
     assert found.none.marginal.log_evidence == pytest.approx(expected, abs=0.1)
 
 
@@ -274,7 +267,6 @@ OF_TWO = SINGLES[:2]
 
 
 def gappy(shift=0.0, lacks=(3,), false=(555.0,)):
-    """A list without some modes and with false peaks, Hz."""
     return np.sort(np.append(np.delete(toy.measured(shift), lacks), false))
 
 
@@ -290,7 +282,6 @@ def incomplete(f, labels=None):
 
 
 def pairings(n, labels):
-    """All pairings that keep the order of what has no label."""
     rows, columns = (list(set(range(k)) - set(of)) for k, of in ((n, labels), (len(F0), labels.values())))
     for r in range(0 if labels else 1, min(len(rows), len(columns)) + 1):
         for chosen, modes in product(combinations(rows, r), combinations(columns, r)):
@@ -300,7 +291,6 @@ def pairings(n, labels):
 
 
 def exact_sum(f, name, labels=None):
-    """Log evidence summed over all pairings, each the density of a linear model with normal priors."""
     values = []
     for pairing in pairings(len(f), labels or {}):
         kept, modes = pairing >= 0, pairing[pairing >= 0]
@@ -315,7 +305,7 @@ def exact_sum(f, name, labels=None):
 
 
 def weighed_incomplete(f, labels=None):
-    """Of an incomplete list: its evidences are sums over all pairings."""
+    """Weighed hypotheses for an incomplete list, their evidences checked against sums over all pairings."""
     found = weigh([incomplete(f, labels)], toy.of_one(NOTHING, *OF_TWO), sets=False)
     for h in (NOTHING, *OF_TWO):
         of = [t.marginal.log_evidence for t in found.tested if t.hypothesis.cause == h.cause]
@@ -329,8 +319,7 @@ def weighed_incomplete(f, labels=None):
         pytest.param(0.0, (3,), (555.0,), marks=pytest.mark.slow),
         pytest.param(0.01 * BUMP, (3,), (555.0,), marks=pytest.mark.slow),
         (0.02 * BUMP, (1,), ()),
-        # the false peak lies above the highest mode of the list
-        pytest.param(0.0, (7,), (660.0,), marks=pytest.mark.slow),
+        pytest.param(0.0, (7,), (660.0,), marks=pytest.mark.slow),  # false peak above the highest mode
     ],
 )
 def test_an_evidence_is_the_sum_over_all_pairings(shift, lacks, false):
@@ -382,8 +371,7 @@ def test_the_answer_shows_false_peaks_and_missed_modes_of_each_fit():
     assert d.claim.causes == ("bent",)
     assert len(d.extended.measured) == len(f) == len(d.gain.held_out)
     assert d.members[0][0].cases[0].modes.tolist() == [0, 1, 2, 4, 5, -1, 6, 7]
-    # the plain model's evidence is over its pairings
-    plain, bent = (exact_sum(f, name) for name in (NONE, "bent"))
+    plain, bent = (exact_sum(f, name) for name in (NONE, "bent"))  # summed over the plain model's pairings
     assert d.baseline.log_evidence == pytest.approx(plain, abs=TOLERANCE)
     assert d.gain.log_bayes_factor == pytest.approx(bent - plain, abs=2 * TOLERANCE)
 

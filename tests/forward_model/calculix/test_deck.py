@@ -1,4 +1,4 @@
-"""Decks of plates in ABAQUS format: mesh, plies, edges, and what is read back, without CalculiX."""
+"""Decks of plates in ABAQUS format: mesh, plies, edges, and reading of results, without CalculiX."""
 
 import re
 from dataclasses import replace
@@ -41,7 +41,6 @@ def text_of(specimen: Specimen, element: Element = "brick", in_plane: int | None
 
 
 def data(text: str, card: str) -> str:
-    """The data lines of all cards that begin so."""
     return "".join(re.findall(rf"^\*{card}\b.*\n((?:[^*].*\n)+)", text, re.M))
 
 
@@ -50,21 +49,18 @@ def numbers(text: str, card: str) -> list[float]:
 
 
 def nodes_of(text: str) -> np.ndarray:
-    """Coordinates by node number, (n, 3)."""
     rows = np.array(numbers(text, "NODE, NSET=ALL")).reshape(-1, 4)
     assert_array_equal(rows[:, 0], np.arange(1, len(rows) + 1))
     return rows[:, 1:]
 
 
 def height_of_run(text: str, run: int) -> float:
-    """Extent in z of the bricks of one run of plies."""
     rows = np.array(numbers(text, f"ELEMENT, TYPE=C3D20R, ELSET=PLIES_{run}"), dtype=int).reshape(-1, 21)
     return float(np.ptp(nodes_of(text)[rows[:, 1:] - 1, 2]))
 
 
 def test_each_run_of_plies_has_bricks_of_its_thickness_and_its_axes() -> None:
-    # [(0/90)_8]_s: 32 plies, the two 90s at the midplane are one run.
-    text, ply = text_of(builtin("D2")), 3.2e-3 / 32
+    text, ply = text_of(builtin("D2")), 3.2e-3 / 32  # [(0/90)_8]_s: the two 90s at the midplane form one run
     sections = re.findall(r"SOLID SECTION, ELSET=PLIES_(\d+), .*ORIENTATION=(\w+)", text)
     angles = []
     for _, name in sections:
@@ -84,8 +80,7 @@ def test_few_runs_of_plies_still_have_four_layers_of_bricks(layup: str, first: f
     text = text_of(with_plate("D2", layup=parse_layup(layup)))
     assert height_of_run(text, 1) == pytest.approx(first * 3.2e-3)
     z = np.unique(np.round(nodes_of(text)[:, 2], 12))
-    # A layer has nodes on its two faces and on its middle.
-    assert len(z) == 2 * 4 + 1
+    assert len(z) == 2 * 4 + 1  # A layer has nodes on its two faces and in between.
     assert_allclose([z[0], z[-1]], [-1.6e-3, 1.6e-3])
 
 
@@ -94,8 +89,7 @@ def test_plies_are_transversely_isotropic() -> None:
     E1, E2, E3, nu12, nu13, nu23, G12, G13, G23 = numbers(text, "ELASTIC, TYPE=ENGINEERING CONSTANTS")
     assert (E1, E2, nu12, G12) == (121.2e9, 9.34e9, 0.23, 6.25e9)
     assert (E3, nu13, G13) == (E2, nu12, G12)
-    # Isotropy across the fibres: E = 2 G (1 + nu).
-    assert_allclose(E2, 2 * G23 * (1 + nu23), rtol=1e-11)
+    assert_allclose(E2, 2 * G23 * (1 + nu23), rtol=1e-11)  # Isotropy across the fibres: E = 2 G (1 + nu).
     assert len(data(text, "ELASTIC").splitlines()[0].split(",")) == 8
     assert numbers(text, "DENSITY") == [1590.0]
 
@@ -103,8 +97,7 @@ def test_plies_are_transversely_isotropic() -> None:
 @pytest.mark.parametrize("nu12", [0.04, 0.15])
 def test_an_orthotropic_ply_is_positive_definite_in_three_dimensions(nu12: float) -> None:
     material = Material("orthotropic", {"E1": 0.9e9, "E2": 11e9, "nu12": nu12, "G12": 0.7e9}, {}, None)
-    # nu12 of 0.15 is none that E3 = E2 and nu13 = nu12 would allow
-    expected = [0.9e9, 11e9, 0.9e9, nu12, 0.0, 0.0, 0.7e9, 0.7e9, 0.7e9]
+    expected = [0.9e9, 11e9, 0.9e9, nu12, 0.0, 0.0, 0.7e9, 0.7e9, 0.7e9]  # impossible if nu13 = nu12
     assert numbers(text_of(replace(C1, material=material)), "ELASTIC") == expected
 
 
@@ -112,7 +105,7 @@ def test_an_orthotropic_ply_is_positive_definite_in_three_dimensions(nu12: float
     ("edges", "of_bricks", "of_shells"),
     [
         ("CFFF", "X0, 1; X0, 2; X0, 3", "X0, 1; X0, 2; X0, 3; X0, 4; X0, 5"),
-        # Simply supported: the displacement along the edge and the turning of a normal along it.
+        # Simply supported: the displacement along the edge, and the rotation about the edge normal.
         ("SFFS", "X0, 2; X0, 3; Y1, 1; Y1, 3", "X0, 2; X0, 3; X0, 4; Y1, 1; Y1, 3; Y1, 5"),
     ],
 )
@@ -131,8 +124,7 @@ def test_lines_numbers_and_any_name_fit_what_both_programs_read(element: Element
     for line in lines:
         fields = line.rstrip(",").split(",")
         assert len(fields) <= 16
-        # CalculiX drops what stands after the 20th character of a number.
-        assert all(len(field.strip()) <= 20 for field in fields)
+        assert all(len(field.strip()) <= 20 for field in fields)  # CalculiX reads 20 characters of a number
         assert len(line) <= 132
     strange = replace(specimen, name="*STEP\n*plaque \N{GREEK SMALL LETTER ALPHA}")
     assert text_of(strange, element).splitlines()[1].startswith("Plate *STEP?*plaque ?, layup")
@@ -197,7 +189,7 @@ def test_a_wrong_number_of_rigid_body_motions_is_an_error(eigenvalues: list[floa
 
 @pytest.fixture
 def run_by(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Run a deck by a script in CalculiX's place."""
+    """Run a deck with a script in place of CalculiX."""
 
     def running(script: str, **options: float) -> str:
         path = tmp_path / "my ccx"

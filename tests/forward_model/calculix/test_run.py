@@ -17,12 +17,11 @@ pytestmark = pytest.mark.needs_ccx
 SLOW = pytest.mark.slow
 
 
-# Bricks know nothing of the theory's assumptions. In the thin plates the two differ by the error of
-# the mesh alone, 0.02 %. In the thick cross-plies each contributes: a mesh of half the size lowers
-# the highest modes by 0.05 %, and 0.08 % remains as the theory's own error. Clamped faces hold the
-# thickness too, which the theory does not know: 0.03 to 0.04 % for aluminium, whatever the mesh.
-# CalculiX makes one brick through the thickness of each shell, without a shear correction: right
-# to 0.15 % on thin plates, up to 0.8 % high on thick ones.
+# Bricks do not share the theory's assumptions. On thin plates the two differ only by the error of the mesh,
+# 0.02 %. On thick cross-plies both contribute: a mesh of half the size lowers the highest modes by 0.05 %,
+# and 0.08 % remains as the theory's own error. Clamped faces also hold the thickness, which the theory
+# ignores: 0.03 to 0.04 % for aluminium with any mesh. CalculiX expands each shell to one brick through the
+# thickness, without a shear correction: right to 0.15 % on thin plates, up to 0.8 % high on thick ones.
 @pytest.mark.parametrize(
     ("element", "name", "changes", "n_modes", "tolerance"),
     [
@@ -48,18 +47,16 @@ def test_both_elements_agree_with_energy_consistent_shear(
 
 
 @pytest.mark.parametrize("element", ["shell", "brick"])
-@pytest.mark.parametrize("edges", ["SFFF", "SFSF", "SSFF"])  # others stand above
+@pytest.mark.parametrize("edges", ["SFFF", "SFSF", "SSFF"])  # others are tested above
 def test_the_rigid_body_count_is_that_of_the_edges(edges: str, element: Element) -> None:
-    # `solve_modes` refuses eigenvalues that show another number.
-    specimen = with_plate("B1", edges=edges)
+    specimen = with_plate("B1", edges=edges)  # `solve_modes` refuses eigenvalues that imply another number.
     found = solve_modes(specimen, reference_constants(specimen), 3, element=element, in_plane=36).frequencies
     assert np.all(found > 1.0)
 
 
 @pytest.mark.parametrize("element", ["shell", "brick"])
 def test_a_small_known_mass_lowers_each_frequency_as_rayleigh_says(element: Element) -> None:
-    # d ln f = - m |phi|^2 / (2 M): phi of the bare plate, of unit mean square.
-    mass, x, y = 0.2e-3, 0.25, 0.28
+    mass, x, y = 0.2e-3, 0.25, 0.28  # d ln f = - m |phi|^2 / (2 M), phi of the bare plate, unit mean square
     bare = with_plate("A2", edges="FFFF")
     loaded = replace(bare, sensors=(Sensor(mass, x, y),))
     plate, known = bare.plate, reference_constants(bare)
@@ -70,8 +67,7 @@ def test_a_small_known_mass_lowers_each_frequency_as_rayleigh_says(element: Elem
     mean_square = np.einsum("mfij,i,j->m", before.shapes**2, weight, weight)
     at_corner = (before.shapes[:, :, -1, -1] ** 2).sum(axis=1)
     expected = -mass * at_corner / mean_square / (2 * plate.density * plate.thickness * plate.area)
-    # Interpolated shapes err by 2 %; the second order of the mass is 0.1 %.
-    assert_allclose(np.log(after.frequencies / before.frequencies), expected, rtol=0.04)
+    assert_allclose(np.log(after.frequencies / before.frequencies), expected, rtol=0.04)  # shapes err by 2 %
 
 
 def test_a_deck_that_calculix_cannot_read_shows_its_words() -> None:

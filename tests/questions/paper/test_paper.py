@@ -1,4 +1,4 @@
-"""The question `paper`: what is computed, stored, shown and written."""
+"""The question `paper`: its computations, storage, display and pages."""
 
 import codecs
 import csv
@@ -69,8 +69,7 @@ def test_what_is_finished_is_not_computed_again_and_what_the_rest_takes_is_said_
     for other in ({"seed": 1}, {"everything": True}):
         with pytest.raises(AssertionError, match="computed"):
             cb.paper(7, quick=True, store=store, **other)
-    # the packaged computations of Table 9 took 6 min 56 s; the small effort took 78 s of a processor
-    for options, first in (
+    for options, first in (  # the packaged Table 9 took 6 min 56 s; the small effort 78 s of CPU time
         ({"seed": 1}, "10 computations, about 7 min on one core; finished ones are kept"),
         ({"quick": True}, "10 computations, about 2 min on one core; finished ones are kept"),
         ({"everything": True}, "posteriors over stacking sequences: about 2 h 27 min on one core"),
@@ -161,7 +160,6 @@ def test_what_comes_with_the_package_is_what_its_study_found(name):
 
 
 def assert_same(found, expected):
-    """The same document, numbers up to the rounding of sums and solvers."""
     if isinstance(expected, dict | list):
         keys = list(expected) if isinstance(expected, dict) else range(len(expected))
         assert (list(found) if isinstance(expected, dict) else range(len(found))) == keys
@@ -186,7 +184,6 @@ def test_every_printed_value_of_a_table_has_a_verdict(number, left_out, tmp_path
 
 
 def of_the_package(numbers):
-    """Tables as far as their computations come with the package."""
     tasks = dict.fromkeys(task for number in numbers for task in tasks_of(number, 0))
     found = {task: stored for task in tasks if (stored := module.comes_with_the_package(task)) is not None}
     return compared(numbers, found, seed=0)
@@ -203,8 +200,7 @@ def test_the_saved_document_is_that_of_the_package_with_every_printed_value(docu
     state = {"fingerprint": document["fingerprint"]}
     assert again | state == document, "run studies/19_paper.py --page"
     assert not document["quick"]
-    # every printed value of tests/printed/test_tables.py
-    assert len(document["rows"]) == 474
+    assert len(document["rows"]) == 474  # every printed value of tests/printed/test_tables.py
     assert (PROJECT / "docs" / "comparison.csv").read_text("utf-8") == csv_text(row_table(document))
     assert len((PROJECT / "docs" / "comparison.md").read_text("utf-8").split()) <= 3000
     agreeing = [row for row in document["rows"] if row["verdict_kind"] == AGREES]
@@ -222,8 +218,7 @@ def test_the_page_follows_the_document(document):
         return next(line for line in lines if "**C3**" in line)
 
     assert "as thick" in of_c3()
-    # a list that one factor leaves open is given no thickness
-    assert "no one factor" in of_c3(scaled_rms_percent=25.0)
+    assert "no one factor" in of_c3(scaled_rms_percent=25.0)  # unexplained by one factor
     assert "Table 2" not in of_c3(frequency_ratio=3.0)
 
     def of_misfits(**changes):
@@ -251,7 +246,7 @@ def test_a_page_without_disagreements_has_no_heading_for_them_and_says_when_it_w
     assert re.search(r"Computed 2026-\d\d-\d\d to 2026-\d\d-\d\d by version 0\.1\.0", written)
 
 
-# Hadamard's conditions made concrete: against closed forms
+# Hadamard's conditions against closed forms
 def isotropic(frequencies, **unknowns):
     material = {"isotropic": True, "E1_GPa": 70.0, "nu12": 0.33}
     tables = {"unknowns": unknowns, "measurement": {"frequencies_hz": frequencies}}
@@ -270,12 +265,11 @@ def test_frequencies_grow_as_the_root_of_the_modulus(frequencies):
     answer = well_posed(cb.identify(isotropic(off, E1_GPa=[50.0, 90.0]), residuals="relative").estimate)
     assert answer["percent_per_percent"]["E1_GPa"] == pytest.approx(2.0 / math.sqrt(6.0), rel=1e-4)
     assert (answer["rank"], answer["condition"], answer["optima"]) == (1, pytest.approx(1.0), 1)
-    # +-1 % about one modulus: sqrt(6 0.01^2 / 5), to the second order in 0.01
-    assert answer["left_percent"] == pytest.approx(math.sqrt(6.0 / 5.0), rel=1e-3)
+    assert answer["left_percent"] == pytest.approx(math.sqrt(6.0 / 5.0), rel=1e-3)  # sqrt(6 0.01^2 / 5)
 
 
 def test_two_constants_that_all_frequencies_see_alike_are_ill_conditioned(frequencies):
-    """The amplification of the modulus grows when Poisson's ratio is unknown beside it."""
+    """The modulus is amplified more if Poisson's ratio is unknown too."""
     alone, both = (
         well_posed(cb.identify(isotropic(frequencies, E1_GPa=[50.0, 90.0], **more)).estimate)
         for more in ({}, {"nu12": [0.1, 0.45]})
@@ -299,8 +293,7 @@ def test_existence_needs_a_misfit_within_repeatability_and_rounding_and_uniquene
     for left, rounding, exists in ((1.0, 0.0, False), (1.0, 0.5, True), (1.1, 0.5, False), (None, 0.0, None)):
         assert found(left_percent=left, rounding=rounding)["exists"] is exists
     assert not any(one["unique"] for one in (found(rank=3), found(optima=2), found(layups=3130)))
-    # the rounding of a list is that of uniform errors of its last digit
-    measured = cb.read_plate("A2").measurement
+    measured = cb.read_plate("A2").measurement  # uniform errors of the last digit
     assert measured.resolution == 1.0
     errors = np.random.default_rng(1).uniform(-0.5, 0.5, (20000, measured.size)) / measured.frequencies
     assert module.rounding_percent("A2") == pytest.approx(100.0 * np.sqrt(np.mean(errors**2)), rel=0.01)

@@ -1,4 +1,4 @@
-"""Verdicts on printed values, means of ten inversions and angles, from computed ones that are made up."""
+"""Verdicts on printed values, means of ten inversions and angles, from invented computed ones."""
 
 from dataclasses import replace
 
@@ -25,7 +25,6 @@ def noisy_angles(rows):
 
 
 def rows_of(number, computed):
-    """Rows of a table of noise, beside what comes with the package."""
     return list(noise_rows(printed_table(number), computed, packaged("sequences"), packaged("swarms")))
 
 
@@ -35,7 +34,7 @@ def of(rows, quantity, source="1 % disorder"):
 
 
 def noise_results(mean, sd, **e1):
-    """Repetitions of Table 10; e1 : what is other in the cells of E1."""
+    """Repetitions of Table 10; e1 : changed entries of E1."""
     cell = {"repetition_mean": mean, "repetition_sd": sd, "on_bound": 0.0, "posterior_mean": mean}
     cell |= {"q025": mean - 10.0, "q975": mean + 10.0}
     constants = {"E1_GPa": {**cell, **e1}, "nu12": cell}
@@ -56,11 +55,9 @@ OWN, PRINTED = "ours lies outside its own interval", "outside the 95 % interval"
         (68.0, 2.0, {"on_bound": 0.4}, AGREES, set()),
         (68.0, 0.1, {}, WITHIN, set()),
         (50.0, 0.1, {}, NOT_REPRODUCIBLE, {PRINTED}),
-        # within two standard errors of 27 %, and 38 % apart: not agreement
-        (50.0, 30.0, {}, UNTOLD, {PRINTED}),
+        (50.0, 30.0, {}, UNTOLD, {PRINTED}),  # two standard errors of 27 %, but 38 % apart: no agreement
         (50.0, 30.0, {"q025": 30.0, "q975": 70.0}, UNTOLD, set()),
-        # half of the ten on a bound: no standard error, however small or large their scatter
-        (68.0, 2.0, {"on_bound": 0.5}, WITHIN, set()),
+        (68.0, 2.0, {"on_bound": 0.5}, WITHIN, set()),  # half of the ten at a bound: no standard error
         (50.0, 30.0, {"on_bound": 0.5}, NOT_REPRODUCIBLE, {PRINTED}),
         (60.0, 2.0, {"q025": 61.0}, WITHIN, {OWN}),
     ],
@@ -74,12 +71,10 @@ def test_means_of_ten_agree_within_two_standard_errors_and_five_per_cent(mean, s
 
 
 def test_a_change_below_the_standard_error_of_ten_cannot_be_shown():
-    # printed changes of A2: E1 -1.7 -3.1 -6.4 %, nu12 2.3 7.2 11.9 %
-    small = (68.0, 68.0 * 0.03 * 10**0.5)
+    small = (68.0, 68.0 * 0.03 * 10**0.5)  # printed changes of A2: E1 -1.7 -3.1 -6.4 %, nu12 2.3 7.2 11.9 %
     expected = MeansOfTen(6, stuck=0, hidden=2, constants=2, printed_grow=2, ours_grow=0)
     assert MeansOfTen.of(rows_of_a2(*small)) == expected
-    # where half of the inversions sit on a bound there is no standard error: of E1 nothing counts
-    rows = rows_of_a2(*small, on_bound=0.5)
+    rows = rows_of_a2(*small, on_bound=0.5)  # half of the inversions at a bound: E1 does not count
     assert MeansOfTen.of(rows) == replace(expected, stuck=3, hidden=1)
     for part in ("Of 6 printed changes 3 have no standard error", "1 of the other 3 are smaller"):
         assert part in means_of_ten(rows)
@@ -108,7 +103,6 @@ ANGLES, LAYUPS = ("angles", "C1", judge.BUILT_IN), ("layups", "C1", judge.BUILT_
 
 
 def at_random(computed, rng):
-    """Let the searches end anywhere."""
     for level in computed[ANGLES]["levels"]:
         level["angles_deg"] = rng.choice(angle_grid(5.0), (10, 4)).tolist()
 
@@ -119,10 +113,8 @@ def test_where_angles_are_sought_their_search_is_compared_with_the_interval_over
     row = of(rows, "E1_GPa")  # printed 127.6, 87 standard errors away
     assert (row.q025, row.q975, row.verdict) == (125.0, 129.0, WITHIN)
     assert (row.ours, row.details["posterior_mean"]) == (100.0, 127.0)
-    # of 127.6, 129.5 and 132.65 GPa one lies within, of the other constants none
-    assert "1 of 12 printed means" in means_of_ten(rows)
-    # a list that no layup explains is named
-    assert "No layup explains" not in noisy_angles(rows)
+    assert "1 of 12 printed means" in means_of_ten(rows)  # one of E1 (127.6, 129.5, 132.65 GPa), no others
+    assert "No layup explains" not in noisy_angles(rows)  # a list that no layup explains is reported
     first, *others = weighed[LAYUPS]["levels"]
     weighed[LAYUPS]["levels"] = [{**first, "p_value": 3e-5}, *others]
     said = noisy_angles(rows_of(11, weighed))
@@ -132,12 +124,10 @@ def test_where_angles_are_sought_their_search_is_compared_with_the_interval_over
     row = of(without, "E1_GPa")
     assert (row.ours, row.q025, row.q975, row.verdict) == (100.0, None, None, NOT_REPRODUCIBLE)
     assert "interval" not in row.reason
-    # ours without noise is that of the search whose means it is compared with: 126 without noise, 127.6 at
-    # each level for the known layup; with the angles sought the mean is 100
+    # our change without noise is from the same search: known layup 126 to 127.6; with the angles 100
     assert row.details["our_percent"] == pytest.approx(100.0 * (127.6 / 126.0 - 1.0))
     assert "without noise ours is 126 for the known layup" in row.reason
-    # the search of angles with the constants is the repetition that is compared
-    angles = of(without, "angles_deg")
+    angles = of(without, "angles_deg")  # the search of angles with constants is the repetition compared
     assert (angles.verdict, angles.ours) == (AGREES, pytest.approx((5.0, 90.0, 0.0, 89.5), abs=1e-2))
     del alone[ANGLES]
     known = rows_of(11, alone)
@@ -146,8 +136,7 @@ def test_where_angles_are_sought_their_search_is_compared_with_the_interval_over
 
 
 @pytest.mark.parametrize(
-    # half a unit of the last digit belongs to the print: 127.6 is printed for 127.55 to 127.65
-    ("low", "on_bound", "verdict"),
+    ("low", "on_bound", "verdict"),  # half a unit of the last digit: 127.6 is 127.55 to 127.65
     [(127.64, 0.0, WITHIN), (127.66, 0.0, NOT_REPRODUCIBLE), (127.66, 0.5, NOT_REPRODUCIBLE)],
 )
 def test_a_mean_is_held_against_the_interval_and_not_determined_without_any(low, on_bound, verdict):
@@ -171,14 +160,12 @@ def test_angles_are_compared_on_the_nearest_image_and_as_fibres_without_a_head()
     assert (found.found, found.distinct, found.groups) == (8, 2, 10)
     # -85 and 85 are 10 degrees apart, not 170
     assert (found.means_deg, found.verdict[0]) == (pytest.approx((5.0, 90.0, 0.0, -87.0)), AGREES)
-    # eight at -85, two at 85: mean resultant length of the doubled angles
-    length = abs(0.8 + 0.2 * np.exp(2j * np.radians(10.0)))
+    length = abs(0.8 + 0.2 * np.exp(2j * np.radians(10.0)))  # mean resultant length of doubled angles
     assert found.spread_deg[3] == pytest.approx(0.5 * np.degrees(np.sqrt(-2.0 * np.log(length))))
     assert found.spread_deg[:3] == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
     other = angles_of(ends, (40, 90, 0, -85))
     assert (other.found, other.verdict[0]) == (0, NOT_REPRODUCIBLE)
-    # a square plate has images by a quarter turn, a rectangle has not
-    turned = [[-85, 0, 90, 0]] * 10
+    turned = [[-85, 0, 90, 0]] * 10  # a quarter turn gives images of a square plate, but not of a rectangle
     assert (len(motions_of("C1")), motions_of("D1")) == (4, MIRROR)
     square, rectangle = (angles_of(turned, (5, 90, 0, 90), motions_of(name)) for name in ("C1", "D1"))
     assert (square.found, square.verdict[0]) == (10, AGREES)
@@ -189,18 +176,16 @@ def test_uniform_angles_show_nothing_and_scatter_as_the_row_says_of_them():
     rng, grid = np.random.default_rng(11), angle_grid(5.0)
     found = [angles_of(rng.choice(grid, (10, 4)), (5, 85, 0, 90)) for _ in range(300)]
     shown = np.mean([angles.verdict[0] != judge.UNDETERMINED for angles in found])
-    # two tests, each with a false alarm in 5 %, of which some alarm together
-    assert 0.04 <= shown <= 0.14
+    assert 0.04 <= shown <= 0.14  # two tests, each with 5 % of false alarms, some of them in common
     within = np.mean([angles.verdict[0] in (AGREES, UNTOLD) for angles in found])
     assert within == pytest.approx(found[0].chance_within, abs=0.035)
     assert 0.0 < found[0].chance_within < 0.1
     spread = np.mean([angles.spread_deg for angles in found], axis=0)
-    # the mean of 300 sets has a standard error of 0.6 degrees
-    assert spread == pytest.approx(found[0].chance_spread_deg, abs=2.0)
+    assert spread == pytest.approx(found[0].chance_spread_deg, abs=2.0)  # standard error 0.6 degrees
     more = [angles.spread_deg[-1] - angles.spread_deg[0] for angles in found]
     assert np.mean(more) == pytest.approx(found[0].chance_more_deg, abs=3.0)
     assert np.std(more) == pytest.approx(found[0].chance_more_sd_deg, rel=0.15)
-    # without images alike in every ply
+    # plies are alike without images
     alike = angles_of([[0, 0, 0]] * 10, (0, 45, 90), ("",)).chance_spread_deg
     assert alike == pytest.approx([np.mean(alike)] * 3, abs=1.0)
 
@@ -226,8 +211,7 @@ def test_what_the_paper_says_of_inner_plies_is_shown_beyond_chance_or_not(bits, 
     for number, name, printed in ((11, "C1", (5, 90, 0, 90)), (12, "C3", (-5, 85, 0, 90))):
         _, computed = sought_and_weighed(125.0, 129.0)
         for level in computed[ANGLES]["levels"]:
-            # one ply without preference, the others as printed
-            ends = np.tile(np.array(printed, dtype=float), (10, 1))
+            ends = np.tile(np.array(printed, dtype=float), (10, 1))  # one ply without preference
             ends[:, -1 if inner else 0] = rng.choice(angle_grid(5.0), 10)
             level["angles_deg"] = ends.tolist()
         computed[LAYUPS]["levels"][0]["bits"] = bits
@@ -245,17 +229,15 @@ def test_scatter_that_uniform_angles_have_too_shows_nothing_and_swarms_on_the_me
     spread = [row.details for row in rows if "spread_1_deg" in row.details]
     assert np.mean([d["spread_4_deg"] - d["spread_1_deg"] for d in spread]) > 5.0
     assert "by the scatter of the inversions, not" not in noisy_angles(rows)
-    # three lists are too few for a sign test
+    # too few lists for a sign test
     assert "is shown neither by the bits nor by the scatter" in noisy_angles(rows)
-    # swarms on the measured list
-    _, computed = sought_and_weighed(125.0, 129.0)
+    _, computed = sought_and_weighed(125.0, 129.0)  # swarms on the measured list
     rows = rows_of(11, computed)
     free = of(rows, "angles_deg", "free disorder").details
     assert (free["swarms"], free["swarms_found"]) == (20.0, 0.0)
     assert free["free_spread_1_deg"] > 20.0
     assert "Without noise 20 swarms on the measured lists, of which 0 end there" in noisy_angles(rows)
-    # the noisy ends scatter by one ply alone
-    assert "most of the scatter is the swarm's own" in noisy_angles(rows)
+    assert "most of the scatter is the swarm's own" in noisy_angles(rows)  # the ends scatter in one ply only
     at_random(computed, np.random.default_rng(1))
     alike = {"cases": {"C1": {"angles_deg": [[0, 90, 0, 90]] * 20}}}
     said = noisy_angles(list(noise_rows(printed_table(11), computed, packaged("sequences"), alike)))
@@ -280,13 +262,11 @@ def marginal(value, q025, q975):
 
 
 def frequencies_of(name, ritz_hz):
-    """Rows of Table 5 for frequencies that are computed by Ritz alone."""
     computed = {("forward", name, judge.BUILT_IN): {"ritz_hz": ritz_hz, "fem_hz": None}}
     return list(judge.frequency_rows(printed_table(5), computed, {"frequencies_hz": {}}))
 
 
 def constants_of(**ours):
-    """The paper's own rows of Table 9 for C1, by constant."""
     printed = [{"source": s, "rms_percent": 2.5} for s in ("CPAM", "Hwang and Chang [8]")]
     results = {"constants": ours, "rms_percent": 1.0, "printed": printed}
     rows = list(judge.constant_rows(printed_table(9), {("constants", "C1", judge.BUILT_IN): results}))
@@ -301,7 +281,7 @@ def test_a_frequency_agrees_to_half_a_per_cent_or_half_a_digit_and_a_misprint_ne
     assert rows[0].difference_percent == pytest.approx(100.0 * (1.0 / 1.004 - 1.0))
     # 40 Hz is printed without decimals: 40.4 Hz is 1 % off and rounds to it
     assert frequencies_of("A2", [40.4, *[90.0] * 5])[0].verdict == AGREES
-    # the misprinted frequency that is left out is named
+    # the omitted misprinted frequency is named
     ours = [float(v.text) * 1.1 for v in printed_table(5).row("D1", "ABAQUS").values.values()]
     ours[8] = 10500.0
     rows = frequencies_of("D1", ours)
@@ -316,13 +296,13 @@ def test_a_constant_agrees_is_in_the_interval_or_is_not_reproducible_with_the_mi
     assert [rows[name].verdict for name in found] == [AGREES, WITHIN, NOT_REPRODUCIBLE]
     assert rows["E2_GPa"].q975 == 15.0
     assert "rms misfit is 2.5 %, with ours 1 %" in rows["nu12"].reason
-    # a best fit outside its own interval says why
+    # a best fit outside its own interval is explained
     inside, outside = marginal(126.5, 120.0, 130.0), marginal(126.5, 127.0, 130.0)
     said = [constants_of(E1_GPa=ours)["E1_GPa"] for ours in (inside, outside, {**outside, "bound": "lower"})]
     assert [row.verdict for row in said] == [AGREES] * 3
     assert [bool(row.reason) for row in said] == [False, True, True]
     assert said[1].reason != said[2].reason
-    # half a unit of the last digit belongs to the print: 0.315 to 0.325 is printed as 0.32
+    # the print includes half a unit of the last digit: 0.32 stands for 0.315 to 0.325
     for end, verdict in ((0.3149, NOT_REPRODUCIBLE), (0.3151, WITHIN)):
         assert judge._of_constant(PrintedValue("0.32"), marginal(0.30, 0.29, end), "")[0] == verdict
         found = judge._of_constant(PrintedValue("0.320"), marginal(0.30, 0.29, end), "")
