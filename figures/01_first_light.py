@@ -1,4 +1,4 @@
-"""The thin plates identified and the error of the plate model; and identify_C1.png for the README.
+"""Identification of the thin plates and error of the plate model; and identify_C1.png for the README.
 
 python figures/01_first_light.py [--help]
 """
@@ -36,9 +36,9 @@ VERDICTS = {
     "determined by the prior": GREY,
 }
 OPEN = VERDICTS["determined by the prior"]
-# Residuals beyond are drawn at the edge with their number.
+# Residuals beyond this are drawn at the edge, with their value.
 WIDEST = 6.0
-# References that are below what the axis shows.
+# References below the range of the axis.
 SMALLEST_PERCENT = 1e-4
 
 
@@ -112,7 +112,7 @@ def _frequencies(axes: Axes, found: Mapping[str, Any]) -> None:
     axes.plot(measured, rows, "o", ms=8, mfc="none", mec=MEASURED, mew=1.2, label="measured")
     axes.plot(predicted, rows, "o", ms=4, color=PREDICTED, label="predicted")
     for row, f in zip(rows, measured, strict=True):
-        # towards the side where there is room
+        # towards the side with more room
         place, side = ((8, 0), "left") if f < 0.7 * max(measured) else ((-8, 0), "right")
         axes.annotate(
             f"{f:g} Hz",

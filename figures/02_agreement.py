@@ -1,4 +1,4 @@
-"""How far Ritz, finite elements and bricks are apart.
+"""Differences between Ritz, finite elements and bricks.
 
 python figures/02_agreement.py [--help]
 """
@@ -111,7 +111,7 @@ def _all_edges(plates: list[dict[str, Any]], limit: float) -> Figure:
 
 
 def _edges(axes: Axes, plate: Mapping[str, Any], limit: float) -> AxesImage:
-    """Differences over the conditions of the edges across x and across y."""
+    """Differences as an image over the edge conditions across x and across y."""
     worst = {}
     for r in plate["rows"]:
         x0, y0, x1, y1 = r["edges"]

@@ -69,7 +69,7 @@ def _costs(data: dict[str, Any]) -> Figure:
 def _accuracy(ax: Axes, points: list[dict[str, Any]]) -> None:
     for (plate, basis), (colour, line, marker) in BASES.items():
         shown = [p for p in points if (p["plate"], p["basis"]) == (plate, basis)]
-        # what is closer to the reference than that is to the truth says nothing
+        # differences below the error of the reference itself mean nothing
         shown = [p for p in shown if p["error"] > p["reference_error"]]
         if not shown:
             continue
@@ -101,7 +101,7 @@ def _growth(ax: Axes, points: list[dict[str, Any]], kind: str) -> None:
 
 
 def _ratio(ax: Axes, x: float, y: float, ratio: float, colour: str, shift: float = 1.0) -> None:
-    """At the end of a line, ``shift`` points up, how many times the cheapest point of its kind it costs."""
+    """Write beside a point, ``shift`` points up, its cost relative to the cheapest point of its kind."""
     ax.annotate(*(f"{ratio:.0f} x", (x, y), (5, shift)), textcoords="offset points", color=colour, fontsize=7)
 
 

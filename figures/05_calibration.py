@@ -98,7 +98,7 @@ def _histogram(ax: Axes, plate: dict[str, Any], parameter: dict[str, Any], draws
 
 
 def _distribution(ax: Axes, plate: dict[str, Any], draws: int) -> None:
-    """Departure of the ranks' distribution from the uniform one, with its band."""
+    """Deviation of the ranks' distribution from the uniform one, with its band."""
     n = plate["repetitions"]
     uniform = np.arange(1, draws + 1) / (draws + 1)
     band = plate["ecdf_band"]
@@ -113,7 +113,7 @@ def _distribution(ax: Axes, plate: dict[str, Any], draws: int) -> None:
 
 
 def _coverage(ax: Axes, plate: dict[str, Any]) -> None:
-    """Fractions of intervals that hold the true value, with two binomial standard errors."""
+    """Fractions of intervals that contain the true value, with two binomial standard errors."""
     n = len(plate["parameters"])
     for i, (parameter, colour) in enumerate(zip(plate["parameters"], COLOURS, strict=False)):
         for level, c in enumerate(parameter["coverage"]):

@@ -1,4 +1,4 @@
-"""How often fuzzy swarms find the stacking sequence with the smallest misfit, how far off they end, the cost.
+"""Fuzzy swarms in search of the stacking sequence of least misfit: success rates, final misfits and cost.
 
 python figures/07_fpso.py [--help]
 """
@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 KINDS = {"synthetic": (BLUE, "o", -0.17), "printed": (ORANGE, "s", 0.17)}
 WORDS = {"synthetic": "simulated list", "printed": "printed list"}
-# Runs nearer to the smallest F than this fraction of the margin are drawn at it.
+# Runs closer to the smallest F than this fraction of the margin are drawn at it.
 NEAREST = 1e-3
 
 
@@ -83,7 +83,7 @@ def _rows(cases: list[dict[str, Any]], names: list[str]) -> list[tuple[dict[str,
 
 def _success(ax: Axes, cases: list[dict[str, Any]], names: list[str]) -> None:
     for c, y, colour, marker in _rows(cases, names):
-        # what is measured against an upper bound of the minimum is hollow
+        # results measured against an upper bound of the minimum are hollow
         face = "white" if c["smallest"]["source"] == "best known" else colour
         for name, style in (("one_percent", "D"), ("rounding", marker)):
             s = c["success"][name]

@@ -1,4 +1,4 @@
-"""Angles that the paper's lists allow, how many stacking sequences, and the noise that would determine C1's.
+"""Angles allowed by the paper's lists, numbers of sequences, and the noise that would determine C1's.
 
 python figures/08_sequences.py [--help]
 """
@@ -38,8 +38,8 @@ def pictures(found: dict[str, Any]) -> list[Picture]:
             "How many stacking sequences the frequencies leave, and the noise that would determine that of "
             "C1.",
             "Left: stacking sequences on the grid, in the 95 % set, and their effective number "
-            "(exponential of the entropy). Right: posterior probability of the class of C1's true layup over "
-            "the noise that is stated; dashed: 0.95.",
+            "(exponential of the entropy). Right: posterior probability of the class of C1's true layup "
+            "against the stated noise; dashed: 0.95.",
         ),
     ]
     if found["cost"]:
@@ -61,7 +61,7 @@ def pictures(found: dict[str, Any]) -> list[Picture]:
 
 
 def _maps(cases: list[dict[str, Any]]) -> Figure:
-    """Probability of every angle, one panel a case, on a scale of its own."""
+    """Probability of every angle, one panel per case, on a scale of its own."""
     rows = -(-len(cases) // COLUMNS)
     new = figure(DOUBLE_MM, 12 + 35 * rows)
     panels = new.subplots(rows, COLUMNS, squeeze=False).ravel()
@@ -101,7 +101,7 @@ def _counts(cases: list[dict[str, Any]], noise: list[dict[str, Any]]) -> Figure:
 
 
 def _numbers(axes: Axes, cases: list[dict[str, Any]]) -> None:
-    """Stacking sequences on the grid, in the 95 % set, and their effective number."""
+    """Numbers of stacking sequences on the grid and in the 95 % set, and their effective number."""
     y = np.arange(len(cases))
     for key, marker, color, label in (
         ("enumerated", "|", GREY, "on the grid"),
@@ -117,7 +117,7 @@ def _numbers(axes: Axes, cases: list[dict[str, Any]]) -> None:
 
 
 def _noise(axes: Axes, noise: list[dict[str, Any]]) -> None:
-    """Probability of the true class against the noise that is stated."""
+    """Probability of the true class against the stated noise."""
     for case, color, marker in zip(noise, (BLUE, ORANGE, GREEN), "osD", strict=False):
         levels = case["levels"]
         axes.plot(
@@ -138,7 +138,7 @@ def _noise(axes: Axes, noise: list[dict[str, Any]]) -> None:
 
 
 def _cost(cost: list[dict[str, Any]]) -> Figure:
-    """Wall time and peak memory against the number of unknown angles, one line a noise."""
+    """Wall time and peak memory against the number of unknown angles, one line per noise level."""
     new = figure(DOUBLE_MM, 62)
     left, right = new.subplots(1, 2)
     levels = sorted({c["relative_std"] for c in cost}, reverse=True)

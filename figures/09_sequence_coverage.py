@@ -1,4 +1,4 @@
-"""Rank probabilities of true stacking sequences, and how large the credible sets are.
+"""Rank probabilities of true stacking sequences, and sizes of the credible sets.
 
 python figures/09_sequence_coverage.py [--help]
 """
@@ -46,7 +46,7 @@ def _all(found: dict[str, Any]) -> Figure:
 
 
 def _coverage(axes: Axes, case: dict[str, Any], allowed: float) -> None:
-    """How often randomised sets hold the truth, less the level, at every level."""
+    """Coverage of randomised sets minus their level, at every level."""
     rank_probability = np.sort([t["place"] for t in case["trials"]])
     level = np.linspace(0.0, 1.0, 401)
     covered = np.searchsorted(rank_probability, level, side="right") / len(rank_probability)

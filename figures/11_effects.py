@@ -1,4 +1,4 @@
-"""What every cause does to the modes of a plate, and what of it the constants leave visible.
+"""Effect of every cause on the modes of a plate, and the part that the constants cannot imitate.
 
 python figures/11_effects.py [--help]
 """
@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 COLUMNS = 4
-# Below this fraction of its shift a cause is said to be absorbed.
+# Below this fraction of its shift a cause counts as absorbed.
 ABSORBED = 0.02
 
 
@@ -32,8 +32,8 @@ def pictures(found: dict[str, Any]) -> list[Picture]:
             "11_effects",
             _all(found),
             "Relative shift of each mode by every cause that has a size or is an error of the list.",
-            "A title names cause, size and plate; bars are modes in order. Grey: shift; orange: what "
-            f"the constants cannot absorb, priors aside.{said}",
+            "Titles: cause, size and plate; bars: modes in order. Grey: shift; orange: what the constants "
+            f"cannot absorb, priors ignored.{said}",
         )
     ]
 

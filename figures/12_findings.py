@@ -1,4 +1,4 @@
-"""What the diagnosis finds: probabilities of none, other and the leading causes of every plate.
+"""Findings of the diagnosis: probabilities of none, other and the leading causes for every plate.
 
 python figures/12_findings.py [--help]
 """
@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 COLOURS = {"none": SKY, "other": GREY}
 LEADING, REST = (ORANGE, "#E9A36A", "#F6D9BF"), "#EFEFEF"
 HATCH: dict[str, Any] = {"hatch": "////", "edgecolor": "white", "linewidth": 0.0}
-# Width of a letter on the axis of probabilities.
+# Width of a letter on the probability axis.
 LETTER = 0.0115
 
 
@@ -25,10 +25,10 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
         Picture(
             "12_findings",
             _all(groups),
-            "The plates, diagnosed.",
-            "Left: posterior probabilities. Right: rms residual of the plain model, and an arrow to that of "
-            "the extended model where a cause is claimed. Hatched: a cause that leaves more than half of the "
-            "misfit counts for what no known error explains.",
+            "The paper's plates and plates of spruce, diagnosed.",
+            "Left: posterior probabilities. Right: rms residual of the plain model, with an arrow to that of "
+            "the extended model where a cause is claimed. Hatched: causes that leave more than half of the "
+            "misfit, counted as unknown errors.",
         )
     ]
 

@@ -12,7 +12,7 @@ from journal import BLUE, DOUBLE_MM, ORANGE, Drawing, Picture, figure
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-# Height that the sequences of a list take of its row.
+# Part of a list's row that its sequences take up.
 SPREAD = 0.7
 
 
@@ -52,7 +52,7 @@ def _all(cases: list[dict[str, Any]], layered: list[dict[str, Any]]) -> Figure:
 
 
 def _differences(ax: Axes, cases: list[dict[str, Any]]) -> None:
-    """Both log evidences of each sequence, a row a list."""
+    """Both log evidences of each sequence, one row per list."""
     for row, case in enumerate(cases):
         compared = case["compared"]
         y = row + SPREAD * ((np.arange(len(compared)) + 0.5) / len(compared) - 0.5)
@@ -75,7 +75,7 @@ def _differences(ax: Axes, cases: list[dict[str, Any]]) -> None:
 
 
 def _layers(ax: Axes, case: dict[str, Any]) -> None:
-    """Sum of each layer over that of all, by the surrogate and by the reference."""
+    """Sum of each layer relative to the total, by the surrogate and by the reference."""
     rows = [r for r in case["layers"] if r["mass"] > 0.0]
     total = sum(r["mass"] for r in rows)
     middle = [0.5 * (r["from"] + min(r["to"], 60.0)) for r in rows]

@@ -1,4 +1,4 @@
-"""What is claimed of lists with hidden causes: right, wrong or nothing.
+"""Claims about lists with hidden causes: right, wrong or none.
 
 python figures/15_claims.py [--help]
 """
@@ -11,7 +11,7 @@ from journal import BLUE, DOUBLE_MM, ORANGE, PURPLE, SKY, YELLOW, Drawing, Pictu
 from matplotlib.figure import Figure
 
 STUDY = "15_claims"
-# Key of a category: what the legend says, and its colour; "none" is counted where nothing is hidden.
+# Category -> its text in the legend and its colour; "none" is counted if nothing is hidden.
 CATEGORIES = {
     "claimed and right": ("claimed and right", BLUE),
     "none": ("nothing wrong, and right", SKY),
@@ -21,7 +21,7 @@ CATEGORIES = {
     "claimed and wrong": ("claimed and wrong", ORANGE),
     "error": ("no answer", "#000000"),
 }
-# Millimetres of a bar, and of what stands about the bars of a row of panels.
+# Height of a bar, and of the surroundings of the bars in a row of panels, mm.
 BAR_MM, ABOUT_MM = 6.0, 16.0
 LEGEND_MM = 10.0
 
@@ -39,18 +39,18 @@ def _picture(name: str, answers: dict[str, Any], beside: dict[str, Any], lists: 
         for key in ("lists", "claimed and right", "claimed and wrong")
     )
     compared = (
-        f", on the {beside['lists']} lists that all methods answered; thresholds of the simple ones give its "
-        "rate of wrong claims on development lists"
+        f", on the {beside['lists']} lists that all methods answered; the simple methods' thresholds give "
+        "the diagnosis's rate of wrong claims on development lists"
         if len(beside["engines"]) > 1
         else ""
     )
     return Picture(
         f"{STUDY}_{name}",
         _panels(answers, beside["engines"]),
-        f"What is claimed of lists with hidden causes, {name} set.",
-        "Lists of finite elements and of bricks, a plate each, their number in brackets. Above: the "
-        f"diagnosis of {total} of {lists} lists by what is hidden; it claims {right} rightly and {wrong} "
-        f"wrongly. Below: single causes by signal to noise{compared}.",
+        f"Claims on lists with hidden causes, {name} set.",
+        "Lists from finite elements and bricks, one plate each; their number in brackets. Above: the "
+        f"diagnosis of {total} of {lists} lists by what is hidden: {right} claims right, {wrong} wrong. "
+        f"Below: single causes by signal to noise{compared}.",
     )
 
 

@@ -1,4 +1,4 @@
-"""First-order theory against bricks: the difference of every mode, and the rule that stands for it.
+"""First-order theory against bricks: the difference of every mode, and the rule that represents it.
 
 python figures/16_theory_error.py [--help]
 """
@@ -30,10 +30,10 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             "16_theory_error",
             _panels(cases),
             "First-order shear deformation theory against three dimensions, and the rule for the difference.",
-            f"Ritz model less bricks on {len(cases)} plates. Left: every mode over the thickness. Right: rms "
-            "over the modes of a plate against the rule's standard deviation, open as computed, filled with "
-            f"the rule's bias removed; grey: up to twice that, which holds for {within} of {len(cases)} "
-            "plates; the rule was fitted to these.",
+            f"Ritz model less bricks on {len(cases)} plates. Left: every mode against thickness. Right: rms "
+            "over a plate's modes against the rule's standard deviation; open: as computed, filled: bias "
+            f"removed. Grey: up to twice that standard deviation, as on {within} of {len(cases)} plates; "
+            "the rule was fitted to them.",
         )
     ]
 

@@ -1,4 +1,4 @@
-"""Worked cases from bricks: residuals before and after, and how probable each cause is.
+"""Worked cases from bricks: residuals before and after, and the probability of each cause.
 
 python figures/17_worked_cases.py [--help]
 """

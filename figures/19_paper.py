@@ -18,7 +18,7 @@ MARKS = {
     "not determined": (SKY, "v"),
     "not reproducible": (ORANGE, "^"),
 }
-# Beyond this a printed frequency lacks a digit.
+# Beyond this a printed frequency must have lost a digit.
 MISPRINTED_PERCENT = 50.0
 
 
@@ -58,7 +58,7 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             Picture(
                 "19_paper_misfits",
                 _misfits(misfits),
-                "Misfit of the constants that the paper prints to its own measured frequencies.",
+                "Misfit of the paper's printed constants to its own measured frequencies.",
                 "Root mean square misfit of the printed constants beside that of the constants with the "
                 "smallest F found here; of the aluminium plates with two and with four unknown constants. "
                 f"In {larger} of {len(misfits)} cases the printed constants fit more than 1.5 times worse.",
@@ -81,7 +81,7 @@ def _differences(rows: list[dict[str, Any]]) -> Figure:
     tables = sorted({row["table"] for row in rows})
     for kind, (colour, marker) in MARKS.items():
         of_kind = [row for row in rows if _verdict(row) == kind]
-        # spread about the table's place, so that rows do not hide each other
+        # spread about the table's position, so that points do not hide each other
         places = [tables.index(row["table"]) + 0.35 * np.sin(7.0 * i) for i, row in enumerate(of_kind)]
         values = [row["difference_percent"] for row in of_kind]
         label = kind if of_kind else None

@@ -1,4 +1,4 @@
-"""How often a single swarm finds the best constants of a plate, and how often several, polished, do.
+"""Success rates of a single swarm, and of several polished ones, in finding the best constants of a plate.
 
 python figures/20_swarms.py [--help]
 """

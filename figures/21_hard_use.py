@@ -1,4 +1,4 @@
-"""What became of hostile inputs: accepted, refused with a message, or anything else.
+"""Outcomes of hostile inputs: accepted, refused with a message, or anything else.
 
 python figures/21_hard_use.py [--help]
 """

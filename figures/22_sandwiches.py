@@ -1,4 +1,4 @@
-"""Sandwiches: how much too low first-order theory is, by the softness of the core, and what is expected.
+"""Sandwiches: error of first-order theory against the softness of the core, and the expected error.
 
 python figures/22_sandwiches.py [--help]
 """

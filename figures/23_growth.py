@@ -1,4 +1,4 @@
-"""How the cost of answers grows with modes, parameters, plies, causes, stacking sequences and plates.
+"""Growth of the cost of answers with modes, parameters, plies, causes, stacking sequences and plates.
 
 python figures/23_growth.py [--help]
 """
@@ -29,9 +29,9 @@ STYLES = {
     "batch --hierarchical": (AMBER, "^"),
 }
 SIZES = ("modes", "parameters", "plies", "causes", "plates", "stacking sequences")
-# Letters of 7 points in a panel of this height.
+# Height of a line of 7 point text, as a fraction of a panel.
 _LINE = 0.085
-# Points of a curve whose exponent is shown: a line through two is no fit.
+# Least number of points for an exponent: a line through two is no fit.
 _FITTED = 3
 
 
@@ -42,9 +42,9 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             "23_growth",
             _panels(curves),
             "Cost of answers against modes, parameters, plies, causes, plates and stacking sequences.",
-            "CPU time of one process without a cached model, of a free cross-ply; of a solve, "
-            "those of one parameter set. Stacking sequences: seconds of two cores. At the right of a panel: "
-            "the exponents p of cost ~ size^p, by least squares, in the order in which the curves end.",
+            "CPU time of one process without a cached model, for a free cross-ply; solves: per "
+            "parameter set. Stacking sequences: seconds on two cores. Right of each panel: the exponents p "
+            "of cost ~ size^p, by least squares, in the order in which the curves end.",
         )
     ]
 
@@ -79,7 +79,7 @@ def _panels(curves: Sequence[dict[str, Any]]) -> Figure:
 
 
 def _apart(ticks: Sequence[int]) -> list[int]:
-    """Those of the sizes that have room for their numbers."""
+    """Ticks that are far enough apart for their labels."""
     kept: list[int] = []
     for tick in ticks:
         if not kept or np.log(tick / kept[-1]) > 0.1 * np.log(ticks[-1] / ticks[0]):
@@ -88,14 +88,14 @@ def _apart(ticks: Sequence[int]) -> list[int]:
 
 
 def _exponents(ax: Axes, curves: Sequence[dict[str, Any]]) -> None:
-    """At the right of a panel, as high as the curves end or as near as there is room."""
+    """Write the exponents at the right of a panel, as close to the ends of their curves as room allows."""
     low, high = np.log(ax.get_ylim())
     ends = sorted(
         ((np.log(c["points"][-1]["seconds"]) - low) / (high - low), c["exponent"], c["question"])
         for c in curves
         if len(c["points"]) >= _FITTED
     )
-    # pushed up by the one below, and all down again as far as the panel is too short
+    # each pushed up by the one below, then all pushed down as far as the panel is too short
     heights: list[float] = []
     for end, *_ in ends:
         heights.append(max(end, heights[-1] + _LINE) if heights else end)

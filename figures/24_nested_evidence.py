@@ -1,4 +1,4 @@
-"""Marginal likelihoods by the importance sampler of the diagnosis less those of nested sampling.
+"""Log evidences from the diagnosis's importance sampler minus those from nested sampling.
 
 python figures/24_nested_evidence.py [--help]
 """
@@ -11,7 +11,7 @@ import numpy as np
 from journal import BAND, BLUE, GREY, SINGLE_MM, Drawing, Picture, figure
 from matplotlib.figure import Figure
 
-# Agreement that is asked for beyond the errors of both, nats.
+# Tolerance beyond the errors of both, nats.
 AGREED = 0.1
 
 

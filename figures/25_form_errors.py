@@ -1,4 +1,4 @@
-"""What the catalogue's forms of causes miss of real ones, cause by cause.
+"""Residual of real causes that the catalogue's forms leave, cause by cause.
 
 python figures/25_form_errors.py [--help]
 """
@@ -20,7 +20,7 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
         Picture(
             "25_form_errors",
             _rows(effects, data["cases"]),
-            "What the catalogue's forms of causes miss of real ones.",
+            "How much of a real cause's shift the catalogue's form misses.",
             "Rms over ten modes of what is left of the shift by a real form after the catalogue's effect was "
             f"fitted to it, over the rms of the shift: {len(data['cases'])} forms, sizes and places on "
             f"{plates} plates. Grey: each of them; blue: their rms, in the catalogue but for tapers and "

@@ -1,4 +1,4 @@
-"""What `identify` names of plate files with a slip, without one, and with a real cause.
+"""Findings of `identify` in plate files with a slip, without one, and with a real cause.
 
 python figures/26_slips.py [--help]
 """
@@ -10,7 +10,7 @@ from typing import Any
 from journal import BLUE, LIGHT, ORANGE, SINGLE_MM, Drawing, Picture, figure, stacked
 from matplotlib.figure import Figure
 
-# Outcomes of a file, and how each is drawn. Where there is no slip, it is right to name none.
+# Outcomes of a file and their colours. If there is no slip, naming none is right.
 COLOURS = {
     "right": BLUE,
     "a wrong slip": ORANGE,
@@ -18,7 +18,7 @@ COLOURS = {
     "cannot be seen": "white",
     "refused with a message": "0.5",
 }
-# What the study calls a slip -> the slip.
+# The study's name of a slip -> its label.
 SLIPS = {
     "sides": "length for width",
     "layup": "layup turned by 90 deg",
@@ -43,7 +43,7 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
         Picture(
             "26_slips",
             _shares(rows),
-            "What is named of plate files with a slip.",
+            "How often a slip in a plate file is named.",
             f"{len(slips)} files with one of {len({c['kind'] for c in slips})} slips: it is "
             f"named in {right}, {unseen} fit within the noise (white). "
             f"{others} files without a slip or with a real cause: a slip is named in {wrong}.",
@@ -66,7 +66,7 @@ def _name(row: dict[str, Any]) -> str:
 
 
 def _outcomes(row: dict[str, Any]) -> dict[str, int]:
-    """Files by outcome."""
+    """Number of files by outcome."""
     none, is_slip = row["none"], row["kind"] in SLIPS
     return {
         "right": row["right"] + (0 if is_slip else none),

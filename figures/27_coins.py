@@ -25,7 +25,7 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
         Picture(
             "27_coins",
             _masses(coins),
-            "Coins on plates of independent elements and of bricks, found over sealed.",
+            "Masses of coins, found over sealed, on plates of independent elements and of bricks.",
             f"95 % intervals of the mass, blue where one is claimed; {inside} of "
             f"{len(coins)} hold the sealed mass. Left of 1: lighter than the detection limit of the plate's "
             f"list. Of {len(repeats)} repeats without a coin "

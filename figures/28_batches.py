@@ -1,4 +1,4 @@
-"""What a batch says of good plates, a thin one, one with a mass left on, and two near the limit.
+"""Verdicts of a batch on good plates, a thin one, one with a mass left on, and two near the limit.
 
 python figures/28_batches.py [--help]
 """
@@ -19,7 +19,7 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
         Picture(
             "28_batches",
             _shares(rows),
-            "Verdicts of a batch by what is true of a plate.",
+            "Verdicts of a batch by the true state of the plate.",
             f"{len(data['cases'])} drawn batches of twelve plates against a limit on E1. Right is pass, "
             "fail, cannot be judged, and too close to call, from the top.",
         )

@@ -1,4 +1,4 @@
-"""Constants of plates that were identified from recorded hits, over the true ones.
+"""Constants identified from recorded hits, relative to the true ones.
 
 python figures/29_recordings.py [--help]
 """

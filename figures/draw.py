@@ -17,7 +17,7 @@ NAMES = sorted(path.stem for path in FIGURES.glob("*.py") if path.stem not in NO
 
 
 def drawing(name: str) -> Drawing:
-    """The figures of a script."""
+    """The drawing that a script defines."""
     spec = importlib.util.spec_from_file_location(f"figures_{name}", FIGURES / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
@@ -28,7 +28,7 @@ def drawing(name: str) -> Drawing:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Draw what the command line names."""
+    """Draw the figures named on the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"all unless given: {', '.join(NAMES)}")
     add_options(parser)

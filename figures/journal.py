@@ -1,4 +1,4 @@
-"""What all figures share: the sizes and the style of a journal, captions, and writing both.
+"""Shared tools of all figures: sizes and style of a journal, captions, and writing of both.
 
 A script makes its figures in ``pictures(results)`` and wraps that function in a ``Drawing``, which reads the
 results of one study, writes each figure with its caption file, and answers the command line.
@@ -24,14 +24,14 @@ from matplotlib.figure import Figure
 FIGURES = Path(__file__).parent
 RESULTS = FIGURES.parent / "studies" / "results"
 
-# Widths of one and of two columns of a journal, and the smallest letters that are legible in print.
+# Widths of one and of two columns of a journal, and the smallest letters legible in print.
 SINGLE_MM, DOUBLE_MM = 90.0, 190.0
 LEAST_POINTS = 7.0
 TALLEST_MM = 232.0
 KINDS = ("png", "pdf", "svg")
 DPI = 180
 
-# Okabe and Ito's colours, told apart by the colour-blind; greys for what is not the subject.
+# Okabe and Ito's colours, which the colour-blind can tell apart; greys for the background.
 BLUE, ORANGE, GREEN, SKY = "#0072B2", "#D55E00", "#009E73", "#56B4E9"
 AMBER, PURPLE, YELLOW, BLACK = "#E69F00", "#CC79A7", "#F0E442", "#000000"
 DARK, GREY, LIGHT, BAND = "#333333", "#777777", "#BBBBBB", "#E4E4E4"
@@ -78,13 +78,13 @@ class Picture:
     Parameters
     ----------
     name : str
-        Name of the file without its ending.
+        File name without its ending.
     figure : Figure
-        As wide as one column or two.
+        One or two columns wide.
     title : str
-        What the figure is, in one sentence.
+        Title in one sentence.
     text : str
-        What is drawn, and what to see in it; numbers are those of the results.
+        Description of the drawing and of what to see in it; its numbers are taken from the results.
     """
 
     name: str
@@ -115,20 +115,20 @@ class Drawing:
     pictures: Callable[[dict[str, Any]], list[Picture]]
 
     def __call__(self, results: Path = RESULTS, folder: Path = FIGURES, kind: str = "png") -> list[Path]:
-        """Write each figure and its caption from the results in one folder into another.
+        """Draw each figure from the results in one folder and write it with its caption into another.
 
-        The same results give the same bytes. Returns the figures' paths; raises ``FileNotFoundError`` where
+        The same results give the same bytes. Returns the figures' paths; raises ``FileNotFoundError`` if
         there are no results.
         """
         return self.write(self.drawn(results), results, folder, kind)
 
     def drawn(self, results: Path = RESULTS) -> list[Picture]:
-        """The figures, not written."""
+        """The figures, drawn but not written."""
         with _style():
             return self.pictures(json.loads(self._content(results)))
 
     def write(self, drawn: Sequence[Picture], results: Path, folder: Path, kind: str = "png") -> list[Path]:
-        """Write figures that were drawn from the results in one folder, and their captions, into another."""
+        """Write figures drawn from the results in one folder, and their captions, into another."""
         content, written = self._content(results), []
         with _style():
             for picture in drawn:
@@ -142,7 +142,7 @@ class Drawing:
         return (results / f"{self.study}.json").read_bytes()
 
     def main(self, arguments: Sequence[str] | None = None) -> None:
-        """Answer the command line of the script."""
+        """Run the command line of the script."""
         run([self], arguments, f"Draw the figures of studies/results/{self.study}.json, with captions.")
 
     def _caption(self, picture: Picture, content: bytes) -> str:
@@ -159,14 +159,14 @@ class Drawing:
 
 
 def run(drawings: Sequence[Drawing], arguments: Sequence[str] | None, description: str) -> None:
-    """Draw, with the folders and the format that a command line asks for."""
+    """Draw, with the folders and the format given on the command line."""
     parser = argparse.ArgumentParser(description=description)
     add_options(parser)
     draw_all(drawings, parser.parse_args(arguments))
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """The options of all figure commands."""
+    """Add the options that all figure commands share."""
     parser.add_argument("--out", type=Path, default=FIGURES, metavar="DIR", help="write here (figures/)")
     parser.add_argument("--results", type=Path, default=RESULTS, metavar="DIR", help="read JSON from here")
     parser.add_argument("--format", choices=KINDS, default="png", help="file format (png)")
@@ -190,9 +190,9 @@ def figure(width_mm: float, height_mm: float) -> Figure:
 def stacked(
     axes: Axes, rows: Mapping[str, Mapping[str, int]], colours: Mapping[str, str], of: str, **bars: Any
 ) -> None:
-    """Shares of each category in percent, one stacked bar a row.
+    """Draw the share of each category in percent, one stacked bar per row.
 
-    rows : name -> category -> count. of : what is counted. bars : as of ``Axes.barh``.
+    rows : name -> category -> count. of : what is counted. bars : passed to ``Axes.barh``.
     """
     names, base = list(rows), [0.0] * len(rows)
     for category, colour in colours.items():
@@ -206,18 +206,18 @@ def stacked(
 
 
 def bare(axes: Axes) -> None:
-    """No line and no ticks at the left, for rows with names."""
+    """Remove the line and ticks at the left, for rows with names."""
     axes.spines["left"].set_visible(False)
     axes.tick_params(axis="y", length=0)
 
 
 def subscripts(layup: str) -> str:
-    """A layup in mathtext, [(0/90)_8]_s with its lowered numbers."""
+    """A layup in mathtext, with subscripts, as for [(0/90)_8]_s."""
     return re.sub(r"_(\w+)", r"$_{\1}$", layup)
 
 
 def symbol(name: str) -> str:
-    """A constant as the field writes it, from its name with or without its unit."""
+    """Mathtext symbol of a constant, from its name with or without its unit."""
     return SYMBOLS.get(name.removesuffix("_GPa"), name)
 
 
@@ -237,7 +237,7 @@ def claimed(answer: Mapping[str, Any]) -> str:
 
 
 def _wrapped(text: str) -> str:
-    """In lines of at most 110 letters, code left whole."""
+    """Text wrapped to lines of at most 110 characters, with code left whole."""
     whole = re.sub(r"`[^`]*`", lambda code: code[0].replace(" ", "\0"), text)
     return textwrap.fill(whole, 110, break_on_hyphens=False, break_long_words=False).replace("\0", " ")
 
@@ -248,7 +248,7 @@ def _style() -> Any:
 
 
 def _save(drawn: Figure, path: Path, kind: str, source: str) -> None:
-    # No date, and one salt for the names of an SVG's elements: the same results give the same bytes.
+    # No date, and a fixed salt for the names of SVG elements: the same results give the same bytes.
     metadata = {
         "png": {"Software": None, "Source": source},
         "pdf": {"CreationDate": None, "Subject": source},

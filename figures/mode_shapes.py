@@ -16,9 +16,9 @@ from scipy.ndimage import zoom
 
 COLUMNS = {6: 3, 10: 5}
 OUTLINE, HELD, MOVED = DARK, BLACK, ORANGE
-# Every so many grid lines of an in-plane mode are drawn, moved by so much of the shorter side.
+# In-plane modes: every STRIDE-th grid line is drawn, displaced by at most this part of the shorter side.
 STRIDE, LARGEST = 4, 0.13
-# Nodal lines that cross look torn on a coarse grid. Steps of colour.
+# Refinement, since crossing nodal lines look torn on a coarse grid, and number of colour steps.
 FINER = 6
 LEVELS = 20
 
@@ -60,7 +60,7 @@ def _plate(name: str, plate: Mapping[str, Any]) -> Figure:
         axes.set_aspect("equal")
         axes.set_axis_off()
         margin = 0.02 * min(size)
-        # for the width of the outline
+        # leaves room for the width of the outline
         axes.set(xlim=(-margin, size[0] + margin), ylim=(-margin, size[1] + margin))
         axes.set_title(f"{i}   {mode['frequency_hz']:.1f} Hz\n{mode['kind']} {mode['label']}", fontsize=7.5)
     return new
@@ -90,7 +90,7 @@ def _in_plane(axes: Axes, mode: Mapping[str, Any], size: tuple[float, float]) ->
 
 
 def _edges(axes: Axes, edges: str, size: tuple[float, float]) -> None:
-    """The outline, clamped edges thick, simply supported ones dashed."""
+    """Draw the outline, with clamped edges thick and simply supported ones dashed."""
     a, b = size
     lines = (((0, 0), (0, b)), ((0, a), (0, 0)), ((a, a), (0, b)), ((0, a), (b, b)))
     widths = {"F": 0.8, "S": 1.6, "C": 3.2}

@@ -43,21 +43,21 @@ THIN_PLATES = ("D&G", "A1", "A2", "B1", "B2", "C1", "C2", "C3", "C4")
 SEED = 0
 REFERENCE = np.empty((1, 0))  # the reference constants: no parameter varies
 
-# Leissa, The free vibration of rectangular plates, J. Sound Vib. 31 (1973): omega a^2 sqrt(rho h / D)
-# of thin square plates, nu = 0.3. Upper bounds of a Ritz basis of 36 products: the free square's
-# are converged to the last digit, the cantilever's up to 0.15 % high.
+# Leissa, The free vibration of rectangular plates, J. Sound Vib. 31 (1973): omega a^2 sqrt(rho h / D) of thin
+# square plates, nu = 0.3. Upper bounds from a Ritz basis of 36 products: the free square's are converged to
+# the last digit, the cantilever's are up to 0.15 % high.
 LEISSA = {
     "FFFF": ([13.468, 19.596, 24.270, 34.801, 34.801, 61.093], 0.1),
     "CFFF": ([3.4711, 8.5062, 21.284, 27.199, 30.955, 54.187], 0.2),
 }
-# Hz, converged by two bases of an independent program, which agree to 2e-6; shear factor 5/6.
+# Hz, converged with two bases of an independent program, which agree to 2e-6; shear factor 5/6.
 CONVERGED = {
     "C1": [100.366, 298.584, 324.574, 360.347, 381.139, 600.611],
     "A2": [40.9165, 90.673, 240.069, 276.238, 340.704, 566.456],
     "D1": [1351.155, 3015.301, 3150.239, 4044.149, 4055.798, 6775.498, 8143.114, 8273.099,
            8849.348, 9154.067],
 }  # fmt: skip
-# Simply supported plates that have Navier's exact solution: layup, thickness in m.
+# Simply supported plates, which have Navier's exact solution: layup, thickness in m.
 NAVIER = {
     "orthotropic, thin": ("[0]", 0.001),
     "orthotropic, thick": ("[0]", 0.02),
@@ -66,13 +66,13 @@ NAVIER = {
     "[0/90], thin": ("[0/90]", 0.004),
     "[0/90], thick": ("[0/90]", 0.03),
 }
-# What is promised: percent of a frequency of a thin plate and of one thicker than side / 40.
+# Promised accuracy, percent of a frequency, of a thin plate and of one thicker than side / 40.
 THIN_PERCENT, THICK_PERCENT = 0.02, 0.05
 
 
 @single_blas_thread
 def run(quick: bool) -> dict[str, Any]:
-    """All plates and references; quick: A1 with a small swarm, one reference of each kind."""
+    """Results for all plates and references; quick: A1 with a small swarm, one reference of each kind."""
     plates = ("A1",) if quick else THIN_PLATES
     settings = SwarmSettings(particles=8, iterations=3) if quick else SwarmSettings()
     errors = [_against_navier(name) for name in (["orthotropic, thin"] if quick else NAVIER)]
@@ -93,7 +93,7 @@ def run(quick: bool) -> dict[str, Any]:
 
 
 def _identified(specimen: Specimen, settings: SwarmSettings) -> dict[str, Any]:
-    """One plate, first with the reduced model still to be built, then with it at hand."""
+    """Results for one plate, timed with the reduced model still to be built and again with the stored one."""
     forget_models()
     first, again = (cb.identify(specimen, seed=SEED, settings=settings).to_dict() for _ in range(2))
     keys = ("frequencies", "rms_percent", "noise_percent", "forward_solves", "seconds", "warnings")
@@ -114,7 +114,7 @@ def _identified(specimen: Specimen, settings: SwarmSettings) -> dict[str, Any]:
 
 
 def _constant(found: dict[str, Any], reference_sd: float) -> dict[str, Any]:
-    """One constant; agrees : within two joint sd of the reference, ``None`` where the data do not decide."""
+    """Row of a constant; agrees : within two joint sd of the reference, ``None`` if undecided."""
     value, reference = found["value"], found["reference"]
     decided = found["bound"] is None and found["verdict"] != "determined by the prior"
     return {
@@ -141,7 +141,7 @@ def navier(specimen: Specimen, n_modes: int, highest: int = 12) -> np.ndarray:
     """Frequencies of a simply supported cross-ply plate by Navier's solution, (n_modes,) Hz.
 
     With u = U cos(ax) sin(by), v = V sin cos, w = W sin sin, phi_x = X cos sin, phi_y = Y sin cos
-    each generalised strain is one product of a sine and a cosine, and each pair of half-wave counts
+    With u = U cos(ax) sin(by), v = V sin cos, w = W sin sin, phi_x = X cos sin, phi_y = Y sin cos,
     an eigenproblem of five unknowns (Reddy, Mechanics of Laminated Composite Plates, section 7.2).
     """
     plate, state = specimen.plate, plate_problem(specimen).nominal
@@ -173,8 +173,8 @@ def _against_converged(name: str) -> dict[str, Any]:
 def _against_leissa(edges: str) -> dict[str, Any]:
     """Frequency parameters at h / a = 1/100 and 1/200, extrapolated linearly to the thin limit.
 
-    A free edge's twisting layer makes the frequencies approach Kirchhoff's as slowly as that. What
-    the two frequencies err by, the extrapolation multiplies by up to three: a tighter tolerance.
+    The twisting layer of a free edge makes the frequencies approach Kirchhoff's only linearly in h / a. The
+    extrapolation multiplies the errors of the frequencies by up to three, hence a tighter tolerance.
     """
     reference, allowed = LEISSA[edges]
     parameters, errors = [], []
@@ -223,7 +223,7 @@ def _solved(model: PlateModel) -> np.ndarray:
 def _plate(
     specimen: Specimen, length: float, width: float, thickness: float, edges: str, layup: str | None
 ) -> Specimen:
-    """A built-in specimen's material on another plate."""
+    """The material of a built-in specimen on another plate."""
     own = specimen.plate.layup if layup is None else parse_layup(layup)
     plate = replace(
         specimen.plate, length=length, width=width, thickness=thickness, edges=edges, layup=own, mass=None

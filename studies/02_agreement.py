@@ -44,14 +44,14 @@ KEYS = {
 }
 
 LIMIT_PERCENT = 0.05
-# Elements along a side, of those that the package takes by itself.
+# Elements along a side, relative to the package's default.
 FINER = 1.5
-# Bricks of C2 and C3 take as long as those of C1 and say the same.
+# Bricks of C2 and C3 take as long as those of C1 and show the same.
 BRICKS = ("D&G", "A1", "A2", "B1", "B2", "C1", "C4", "D1", "D2", "D3", "D4")
-# Free plates with B not zero: the plate whose sizes and material they have, and the layup.
+# Free plates with nonzero B: the plate that gives sizes and material, and the layup.
 UNSYMMETRIC = (("C2", "[0/90]"), ("C2", "[45/-45]"), ("D2", "[0/90]"), ("D2", "[45/-45]"))
-# Plates for all combinations of edges: sizes and material, layup (None: its own), whether the mirror
-# image of the plate is the plate. An oblique symmetric layup has a turn by 180 degrees alone; the
+# Plates for all combinations of edges: the plate that gives sizes and material, layup (None: its own),
+# whether it is its own mirror image. A symmetric angle-ply has only the rotation by 180 degrees; the mirror
 # image of [45/-45] is the same plate upside down.
 EDGE_PLATES = (("C2", None, True), ("C2", "[0/90]", True), ("C2", "[45/-45]", True), ("D4", None, False))
 SHAPES, GRID = ("C1", "D3"), 33
@@ -61,7 +61,7 @@ REFERENCE = np.empty(0)  # the reference constants: no parameter varies
 
 @single_blas_thread
 def run(quick: bool) -> dict[str, Any]:
-    """All plates; quick: one of each kind, coarse, no bricks."""
+    """Results for all plates; quick: one of each kind, coarse, no bricks."""
     start = time.perf_counter()
     names = SHAPES[:1] if quick else _distinct_plates()
     unsymmetric = UNSYMMETRIC[:1] if quick else UNSYMMETRIC
@@ -87,7 +87,7 @@ def run(quick: bool) -> dict[str, Any]:
 
 
 def _distinct_plates() -> tuple[str, ...]:
-    """Built-in plates, without the names under which the layup of a plate is unknown."""
+    """Built-in plates, without the duplicates whose layup is unknown."""
     return tuple(plate.name for plate in cb.builtin_plates() if plate.specimen == plate.name)
 
 
@@ -102,7 +102,7 @@ def _changed(name: str, layup: str | None = None, edges: str | None = None) -> S
 
 
 def _elements(specimen: Specimen, n_modes: int, finer: float) -> PlateModel:
-    """Finite elements on a mesh with ``finer`` times as many a side as the package takes."""
+    """Finite elements on a mesh with ``finer`` times the default number of elements along a side."""
     problem = plate_problem(specimen)
     counts = [max(2, round(finer * n)) for n in default_counts(problem.nominal)]
     operator = discretise_sparse(problem, fem_space(problem.edges, problem.nominal, *counts), {})
@@ -114,10 +114,10 @@ def _frequencies(model: PlateModel) -> np.ndarray:
 
 
 def _deviation(specimen: Specimen, ritz: ForwardResult, finer: float) -> dict[str, Any]:
-    """Finite elements against Ritz, and what each is estimated to err by at the worst mode.
+    """Deviation of finite elements from Ritz, and the estimated errors of both at the worst mode.
 
-    The elements' error is taken as the change from the default mesh to the finer one, an upper
-    bound where they converge.
+    The error of the elements is taken as the change from the default mesh to the finer one, an upper bound
+    if they converge.
     """
     n_modes = len(ritz.modes)
     found = _frequencies(_elements(specimen, n_modes, finer))
@@ -138,7 +138,7 @@ def _deviation(specimen: Specimen, ritz: ForwardResult, finer: float) -> dict[st
 
 
 def _kinds(ritz: ForwardResult) -> dict[str, int]:
-    """How many modes of each kind there are."""
+    """Number of modes of each kind."""
     return dict(sorted(Counter(mode.kind for mode in ritz.modes).items()))
 
 
@@ -174,16 +174,16 @@ def _edges(name: str, layup: str | None, mirrored: bool, finer: float, quick: bo
 
 
 def distinct_edges(mirrored: bool) -> list[str]:
-    """Combinations of F, S, C on four edges that give different plates, in one form of each.
+    """Combinations of F, S, C on four edges that give different plates, one representative of each.
 
-    mirrored : the plate is its own mirror image, in x and in y: 36 of 81; otherwise it is itself
-    when turned by 180 degrees: 45.
+    mirrored : the plate is its own mirror image in x and in y (36 of 81); otherwise it is unchanged by a
+    rotation of 180 degrees only (45).
     """
     return sorted({edges_form("".join(e), mirrored) for e in product("FSC", repeat=4)}, key=_from_free)
 
 
 def edges_form(edges: str, mirrored: bool) -> str:
-    """The one of the equivalent combinations of edges that stands for all of them."""
+    """Representative of all combinations of edges equivalent to this one."""
     x0, y0, x1, y1 = edges
     same = [edges, x1 + y1 + x0 + y0]
     if mirrored:
@@ -207,7 +207,7 @@ def _brick_plates() -> list[Specimen]:
 
 @contextmanager
 def _bricks(specimens: Sequence[Specimen]) -> Iterator[dict[str, Future[Any]]]:
-    """CalculiX on bricks, one plate after the other beside the work of this program."""
+    """Solve the bricks with CalculiX in a second thread, one plate after the other."""
     with ThreadPoolExecutor(1) as pool:
         futures = {_title(s): pool.submit(_solve_bricks, s) for s in specimens}
         try:
@@ -240,7 +240,7 @@ def _against(ritz: ForwardResult, bricks: ForwardResult) -> dict[str, Any]:
 
 
 def _shapes(specimen: Specimen, n: int) -> dict[str, Any]:
-    """Shapes (n, n), x by rows, in whole numbers: exact enough for nodal lines, and small."""
+    """Mode shapes (n, n), x by rows, in whole numbers: exact enough for nodal lines, and small."""
     assert specimen.measurement is not None
     model = converged_model(specimen, NO_PARAMETERS, specimen.measurement.size)
     values = shapes_on_grid(model.operator, model.spectrum(REFERENCE, vectors=True), n=n)
@@ -301,7 +301,7 @@ def _verdict(row: Mapping[str, Any]) -> str:
 
 
 def _edges_table(plate: Mapping[str, Any]) -> Table:
-    """Edges, deviation, mode and verdict, several combinations in a line."""
+    """Table of edges, deviation, mode and verdict, several combinations per line."""
     cells: list[str] = []
     for r in plate["rows"]:
         cells += (r["edges"], f"{r['worst_percent']:+.4f}", str(r["worst_mode"]), _verdict(r))

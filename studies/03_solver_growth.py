@@ -56,7 +56,7 @@ STACK = 64
 MODES = {"C1": 6, "D1": 10}
 DEGREES = {"enriched": (6, 7, 8, 9, 10, 12, 14), "plain": (6, 8, 10, 12, 14, 16, 18, 20, 24)}
 NUMBERS_OF_MODES = (6, 10, 16, 24, 32, 40, 60)
-# Constants join first, as the paper's unknowns do, then the angles of C1's group of four plies.
+# Constants join first, in the order of the paper's unknowns, then the angles of C1's group of four plies.
 CONSTANTS = ("E1", "E2", "nu12", "G12", "G23")
 GROUP = (0.0, 90.0, 0.0, 90.0)
 NUMBERS_OF_PARAMETERS = (2, 3, 4, 5, 6, 7, 8, 9)
@@ -67,7 +67,7 @@ _QUICK_SETTINGS = ReductionSettings(training=12, checks=12, rounds=1)
 
 @single_blas_thread
 def run(quick: bool) -> Results:
-    """All four ladders; quick: two or three small steps of each."""
+    """Results for all four ladders; quick: two or three small steps of each."""
     rounds = 2 if quick else 9
     settings = _QUICK_SETTINGS if quick else DEFAULT_SETTINGS
     return {
@@ -84,7 +84,7 @@ def run(quick: bool) -> Results:
 
 
 def _against_accuracy(plates: Iterable[str], quick: bool, rounds: int) -> list[Results]:
-    """A full solve on ladders of bases, the plate's symmetries used in all."""
+    """Time and error of a full solve on ladders of bases, always with the plate's symmetries."""
     points: list[Results] = []
     calls: dict[int, Call] = {}
     for plate in plates:
@@ -144,7 +144,7 @@ def _against_parameters(numbers: Iterable[int], settings: ReductionSettings, rou
 def _against_plies(numbers: Iterable[int], settings: ReductionSettings, rounds: int) -> list[Results]:
     known, models = cb.read_plate("C1"), []
     for n in numbers:
-        # as thick as C1: thinner plies, alternating
+        # as thick as C1, with thinner alternating plies
         layup = parse_layup(f"[(0/90)_{n // 4}]_s")
         specimen = replace(known, plate=replace(known.plate, layup=layup))
         models.append((_built(specimen, known.unknowns, MODES["C1"], settings), {"plies": n}))
@@ -157,7 +157,7 @@ def _with_parameters(n: int) -> tuple[Specimen, ParameterSet]:
     plies = "/".join("?" if i < n_angles else f"{angle:g}" for i, angle in enumerate(GROUP))
     specimen = cb.read_plate("C1")
     specimen = replace(specimen, plate=replace(specimen.plate, layup=parse_layup(f"[({plies})_4]_s")))
-    # D1 has the bounds of G23 as well
+    # D1 has bounds of G23 too
     known = cb.read_plate("D1").unknowns
     constants = ParameterSet(tuple(known[name] for name in CONSTANTS[:n]))
     return specimen, constants.union(angle_parameters(specimen))
@@ -167,7 +167,7 @@ Built = tuple[ReducedModel, float, float]
 
 
 def _built(specimen: Specimen, parameters: ParameterSet, n_modes: int, settings: ReductionSettings) -> Built:
-    """The reduced model, and the processor's seconds for converging the plate and for reducing it."""
+    """The reduced model, and the CPU seconds for converging the plate and for reducing it."""
     start = time.process_time()
     full = converged_model(specimen, parameters, n_modes)
     converged = time.process_time()
@@ -216,9 +216,9 @@ def _lapack(model: PlateModel, x: Array) -> Call:
 
 
 def _interleaved(calls: Mapping[Any, Call], rounds: int) -> dict[Any, Array]:
-    """Processor's seconds of every call, (rounds,), one round after the other.
+    """CPU seconds of every call, (rounds,), one round after the other.
 
-    Time that other programs take from the processor does not count.
+    The time of other programs does not count.
     """
     repeats = {name: max(1, round(0.01 / max(_seconds(call, 1), 1e-5))) for name, call in calls.items()}
     rows = [{n: _seconds(call, repeats[n]) / repeats[n] for n, call in calls.items()} for _ in range(rounds)]
@@ -233,7 +233,7 @@ def _seconds(call: Call, repeats: int) -> float:
 
 
 def _with_ratios(points: list[Results], names: Iterable[str]) -> list[Results]:
-    """Beside every time its ratio to the shortest of its kind."""
+    """The points with the ratio of every time to the shortest of its kind."""
     for name in names:
         shortest = min(point[name] for point in points)
         for point in points:

@@ -2,9 +2,9 @@
 
 python studies/05_calibration.py [--quick] [--workers N | --executor SPEC] [--repetitions N] [--store DIR]
 
-Constants and noise are drawn from their priors, a list is simulated by the reduced model that the
-posterior has too, sampled, and the truth is ranked among 99 draws (cpam_bayes/calibration.py).
-Repetitions are kept as they come: a run that was stopped goes on where it was.
+Constants and noise are drawn from their priors, a list is simulated by the reduced model that the posterior
+uses too, it is sampled, and the truth is ranked among 99 draws (cpam_bayes/calibration.py). Repetitions are
+saved one by one, and a stopped run continues where it was.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def run(
     store: Path | None = None,
     repetitions: int | None = None,
 ) -> Results:
-    """Both plates; quick: a few repetitions of the thin one with chains too short to trust."""
+    """Results for both plates; quick: a few repetitions of the thin one with chains too short to trust."""
     plates = dict([next(iter(PLATES.items()))]) if quick else PLATES
     n = repetitions or (QUICK_REPETITIONS if quick else REPETITIONS)
     return {
@@ -100,7 +100,7 @@ def _plate(
 
 
 def summary(name: str, modes: int, names: tuple[str, ...], found: tuple[Repetition, ...]) -> Results:
-    """What the ranks of one plate say."""
+    """Summary of the ranks of one plate."""
     ranks, below = np.array([r.ranks for r in found]), np.array([r.below for r in found])
     statistics = rank_statistics(
         ranks, N_DRAWS + 1, np.random.default_rng(SEED), n_bins=BINS, probability=BAND_PROBABILITY

@@ -4,12 +4,12 @@ python studies/07_fpso.py [--quick] [--only CASE ...] [--workers N] [--executor 
 
 A swarm succeeds when the sequence that it ends on, with the constants fitted to it, has F of eq. (7)
 within a margin of the smallest F known. Two margins are counted: n resolution^2 / 12, the F that
-rounding n frequencies makes by itself, and sum (0.01 f_i)^2, the F that a repeatability of 1 % makes:
-sequences closer than that are not told apart by such a list. The smallest F known comes from
+rounding n frequencies makes by itself, and sum (0.01 f_i)^2, the F that a repeatability of 1 % makes: such
+a list does not tell sequences apart that are closer than that. The smallest F known comes from
 
 * enumeration of every class of sequences, where two angles are unknown;
-* the plate's own sequence, whose F is zero, on synthetic data: frequencies of the printed layup with
-  the reference constants, as the reduced model has them, neither noisy nor rounded;
+* the plate's own sequence, whose F is zero, for synthetic data: frequencies of the printed layup with the
+  reference constants from the reduced model, neither noisy nor rounded;
 * otherwise the best of all seeds, of the printed sequence, and of descents from these that change one
   angle at a time: an upper bound of the minimum, so the rates are upper bounds too.
 """
@@ -71,21 +71,21 @@ KEYS = {
 }
 
 SYNTHETIC, PRINTED = "synthetic", "printed"
-# Two unknown angles can be enumerated; the others are those of Table 9(b).
+# Sequences of two unknown angles can be enumerated; the other cases are those of Table 9(b).
 TWO_ANGLES = {"C1, two angles": ("C1", "[(?/?)_8]_s"), "D2, two angles": ("D2", "[(?/?)_8]_s")}
 LADDER = ("C1", (10, 20, 40, 80, 160))
 PARTICLES = "numbers of particles"
 SETTINGS = SwarmSettings(iterations=200)
 SEEDS = 20
 STARTS = 3
-# Sequences that a step of a descent fits constants to, and sequences that descents begin at.
+# Number of sequences that each step of a descent fits constants to, and of starts of descents.
 FITTED, DESCENTS = 24, 3
-# F that counts as zero, Hz^2 a frequency: a thousandth of what rounding to 1 Hz makes.
+# F that counts as zero, Hz^2 per frequency: a thousandth of the effect of rounding to 1 Hz.
 NOTHING = 1e-4
 
 
 class Plan(NamedTuple):
-    """How much is done."""
+    """Extent of the computations."""
 
     cases: tuple[str, ...]
     seeds: int
@@ -115,7 +115,7 @@ def run(
     only: tuple[str, ...] | None = None,
     notify: Notify = lambda text: None,
 ) -> Results:
-    """All cases, or those named, on both kinds of data, then numbers of particles."""
+    """Results for all cases, or those named, on both kinds of data, then for numbers of particles."""
     plan = QUICK if quick else FULL
     wanted = only or (*plan.cases, PARTICLES)
     cases = []
@@ -141,7 +141,7 @@ def run(
 
 
 def case_specimen(name: str, step_deg: float | None = None) -> Specimen:
-    """A case by its name, if wanted on another grid of angles."""
+    """Specimen of a case by its name, on another grid of angles if wanted."""
     return with_unknown_layup(*TWO_ANGLES.get(name, (name, None)), step_deg)
 
 
@@ -261,7 +261,7 @@ def _printed(name: str) -> bool:
 
 
 def _known_sequences(specimen: Specimen, name: str, kind: str) -> Array:
-    """The sequence that a run is compared with, then others whose F is worth knowing."""
+    """The sequence that a run is compared with, then others whose F is of interest."""
     own = true_sequence(specimen)
     if kind == SYNTHETIC or not _printed(name):
         return own[None]
@@ -270,7 +270,7 @@ def _known_sequences(specimen: Specimen, name: str, kind: str) -> Array:
 
 
 def _printed_misfit(fit: AngleSearchProblem, name: str) -> float | None:
-    """F of the printed sequence with the constants printed beside it; None where there are none."""
+    """F of the printed sequence with the constants printed beside it; None if none are printed."""
     row = identified_layups().get(name)
     if row is None or not row.constants:
         return None
@@ -284,10 +284,10 @@ def _printed_misfit(fit: AngleSearchProblem, name: str) -> float | None:
 def _fitted_ends(
     fit: AngleSearchProblem, swarms: list[SwarmResult], starts: Array, executor: Executor | None
 ) -> Array:
-    """F of the swarms' sequences with their constants fitted, each from the swarm's own too, (m,)."""
+    """Smallest F of each swarm's sequence with fitted constants, started from the swarm's own too, (m,)."""
     ends = np.array([s.sequence for s in swarms])
     fitted = best_constants(fit, ends, starts, executor).values
-    # a fit may miss the minimum that the swarm's own constants lie in
+    # a fit may miss the minimum in which the swarm's own constants lie
     return np.minimum(
         fitted,
         [
@@ -303,7 +303,7 @@ def _same_class(sequences: Array, other: Array, symmetries: tuple[Symmetry, ...]
 
 
 def _rate(successes: Array) -> Results:
-    """A share with its 68 % interval, Jeffreys' prior."""
+    """A success rate with its 68 % interval, Jeffreys' prior."""
     n, k = len(successes), int(np.sum(successes))
     low, high = beta.ppf([0.16, 0.84], k + 0.5, n - k + 0.5)
     return {"count": k, "of": n, "low": float(low) if k else 0.0, "high": float(high) if k < n else 1.0}
@@ -319,7 +319,7 @@ def _every_class(fit: AngleSearchProblem, symmetries: tuple[Symmetry, ...]) -> A
 
 
 def _count_classes(fit: AngleSearchProblem, symmetries: tuple[Symmetry, ...]) -> int:
-    """Number of classes by Burnside's lemma: the mean number of sequences that a motion leaves alone."""
+    """Number of classes by Burnside's lemma: mean number of sequences that a symmetry leaves unchanged."""
     assert all(s.everywhere for s in symmetries)
     index = np.arange(len(fit.grid_deg))
     fixed = [len(index) ** fit.n_plies]
@@ -328,7 +328,7 @@ def _count_classes(fit: AngleSearchProblem, symmetries: tuple[Symmetry, ...]) ->
 
 
 def _solves_of_a_fit(fit: AngleSearchProblem, starts: Array, executor: Executor | None) -> float:
-    """Solves with derivatives that the constants of one random sequence take."""
+    """Solves with derivatives needed for the constants of one random sequence."""
     rows = np.random.default_rng(0).integers(0, len(fit.grid_deg), (64, fit.n_plies))
     return best_constants(fit, rows, starts, executor).evaluations / len(rows)
 
@@ -336,10 +336,10 @@ def _solves_of_a_fit(fit: AngleSearchProblem, starts: Array, executor: Executor 
 def _descended(
     fit: AngleSearchProblem, pool: Array, values: Array, starts: Array, n: int, executor: Executor | None
 ) -> tuple[Array, float]:
-    """The smallest F that is reached from the best n sequences by changing one angle at a time.
+    """The smallest F reached from the best n sequences by changing one angle at a time.
 
-    In each round all neighbours are tried with the constants of the present sequence, and constants
-    are fitted to the best of them.
+    In each round all neighbours are evaluated with the constants of the current sequence, and constants are
+    fitted to the best of them.
     """
     _, first = np.unique(pool, axis=0, return_index=True)
     first = first[np.argsort(values[first], kind="stable")][:n]
@@ -368,7 +368,7 @@ def _neighbours(sequence: Array, n_angles: int) -> Array:
 
 
 def _seconds_of_a_solve(fit: AngleSearchProblem, particles: int) -> float:
-    """Processor's seconds of one solve in a stack of a swarm's size."""
+    """CPU seconds of one solve in a stack of a swarm's size."""
     rng = np.random.default_rng(0)
     rows = rng.integers(0, len(fit.grid_deg), (particles, fit.n_plies))
     constants = np.repeat(search_starts(fit, 1), particles, axis=0)
@@ -466,7 +466,7 @@ def _columns(headings: tuple[str, ...], text: tuple[int, ...]) -> tuple[Heading,
 
 
 def sections(results: Results) -> dict[str, str]:
-    """What docs/unknown_angles.md says of the fuzzy swarm."""
+    """Section of docs/unknown_angles.md on the fuzzy swarm."""
     return {"remarks": "\n".join(paragraph(text, "- ") for text in _remarks(results["cases"]))}
 
 
@@ -477,10 +477,10 @@ def _remarks(cases: Sequence[Results]) -> Iterable[str]:
     printed = ""
     if c1:
         different = len({tuple(r["angles_deg"]) for r in c1["runs"]})
-        printed = f" The {len(c1['runs'])} seeds on C1's printed list print {different} stacking sequences."
+        printed = f" The {len(c1['runs'])} seeds on C1's printed list give {different} stacking sequences."
     yield (
-        f"**It ends near the best fit, hardly ever on it.** Within the rounding of the list are {exact} of "
-        f"{runs} runs, within 1 % of the frequencies {near}.{printed}"
+        f"**It ends near the best fit, hardly ever on it.** {exact} of {runs} runs end within the rounding "
+        f"of the list, {near} within 1 % of the frequencies.{printed}"
     )
 
 

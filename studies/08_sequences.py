@@ -2,12 +2,12 @@
 
 python studies/08_sequences.py [--quick] [--only NAME ...] [--workers N] [--executor SPEC]
 
-Every case of Table 9(b): the posterior over all sequences on the grid of 5 degrees, the constants
-marginalised within the bounds of the paper, from the printed list with its noise inferred. Two cases
-with two unknown angles besides, which need no surrogate. Then the list of C1's true sequence and reference
-constants, noise-free, with smaller and smaller noise stated: the probability of its class. Then what two to
-six unknown angles cost, on the plate of F1 with the list of its own sequence. Every case is saved as soon as
-it is done, and those that were saved before are kept.
+Every case of Table 9(b): the posterior over all sequences on the grid of 5 degrees, with the constants
+marginalised within the paper's bounds, from the printed list with its noise inferred. Also two cases with two
+unknown angles, which need no surrogate. Then the noise-free list of C1's true sequence and reference
+constants, with smaller and smaller stated noise: the probability of its class. Then the cost of two to six
+unknown angles, on the plate of F1 with the list of its own sequence. Every case is saved as soon as it is
+done, and saved cases are kept.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ PRINTED = tuple(identified_layups())
 # Cases of the noise study: unknown angles of C1.
 NOISE_LAYUPS = {"C1 noise, two angles": "[(?/?)_8]_s", "C1 noise": "[(?/?/?/?)_4]_s"}
 NOISE = (0.02, 0.01, 0.005, 0.002, 0.001, 5e-4, 2e-4, 1e-4, 7e-5)
-# Layouts of the cost study by their number of unknown angles, and its noises.
+# Layups of the cost study by their number of unknown angles, and its noise levels.
 COST_LAYUPS = {
     2: "[?/?/(0/90)_7]_s",
     3: "[?/?/?/90/(0/90)_6]_s",
@@ -74,9 +74,9 @@ COST_LAYUPS = {
 COST_NOISE = (0.01, 0.002)
 COST = {f"F1's plate, {k} angles, {100 * noise:g} %": (k, noise) for noise in COST_NOISE for k in COST_LAYUPS}
 NAMES = (*TWO_ANGLES, *PRINTED, *NOISE_LAYUPS, *COST)
-# A class is determined if it has this probability.
+# A class with at least this probability counts as determined.
 DETERMINED = 0.95
-# Classes whose probabilities are kept.
+# Number of classes whose probabilities are kept.
 KEPT = 20
 
 SMALL = StackingSettings(draws=30, listed=12, log2_points=6)
@@ -88,7 +88,7 @@ def run(
     only: tuple[str, ...] | None = None,
     notify: Notify = lambda text: None,
 ) -> Results:
-    """All cases, or those named; quick: C1 with two angles on a coarse grid, and one noise."""
+    """Results for all cases, or those named; quick: two angles of C1 on a coarse grid, one noise level."""
     small = ("C1, two angles", "C1 noise, two angles", next(iter(COST)))
     wanted = small if quick else only or NAMES
     settings = SMALL if quick else DEFAULT_SETTINGS
@@ -108,7 +108,7 @@ def run(
 
 
 def case_specimen(name: str, step_deg: float | None = None) -> Specimen:
-    """A case by its name, its sizes exact as in the paper; if wanted on another grid of angles."""
+    """Specimen of a case, with exact sizes as in the paper, on another grid of angles if wanted."""
     return with_unknown_layup(*TWO_ANGLES.get(name, (name, None)), step_deg).with_exact_sizes()
 
 
@@ -180,7 +180,7 @@ def _noise(
     executor: Executor | None,
     notify: Notify,
 ) -> Results:
-    """C1's own list, as the reduced model has it, at several noises that are stated, none added."""
+    """Answers to C1's noise-free list from the reduced model at several levels of stated noise."""
     specimen, model_error = with_unknown_layup("C1", NOISE_LAYUPS[name], step), np.nan
     rows = []
     for level in levels:
@@ -206,7 +206,7 @@ def _noise(
         "layup": specimen.plate.layup.text,
         "model_error": model_error,
         "levels": rows,
-        # the largest noise of those tried from which on down all determine the class
+        # the largest level tried from which on down all levels determine the class
         "determined_at": max(
             (
                 e
@@ -221,7 +221,7 @@ def _noise(
 def _cost(
     name: str, step: float | None, settings: StackingSettings, executor: Executor | None, notify: Notify
 ) -> Results:
-    """What one list takes whose outermost angles are unknown."""
+    """Cost of the answer to one list of a plate whose outermost angles are unknown."""
     angles, noise = COST[name]
     notify(name)
     listed, _, _ = with_noise_free_list(with_unknown_layup("F1", COST_LAYUPS[angles], step), noise)
@@ -247,9 +247,9 @@ def _cost(
 def _measured(
     specimen: Specimen, settings: StackingSettings, executor: Executor | None, notify: Notify
 ) -> tuple[StackingPosterior, float, float]:
-    """The answer with no model at hand, seconds of this processor, largest memory in GiB.
+    """The answer without a stored model, CPU seconds of this process, and peak memory in GiB.
 
-    Memory is that of this process and its workers; pages that they share are counted once for each.
+    The memory is that of this process and its workers; pages that they share are counted once for each.
     """
     forget_models()
     _forget_peak()
@@ -263,13 +263,13 @@ def _processes() -> list[Path]:
 
 
 def _forget_peak() -> None:
-    """Begin anew with the largest memory of each process, see clear_refs in proc(5)."""
+    """Reset the peak memory of each process, see clear_refs in proc(5)."""
     for process in _processes():
         (process / "clear_refs").write_text("5", encoding="ascii")
 
 
 def _peak_gib() -> float:
-    """The sum of the processes' largest resident memories since then."""
+    """Sum of the processes' peak resident memories since the reset."""
     lines = [line for p in _processes() for line in (p / "status").read_text().splitlines()]
     return sum(int(line.split()[1]) for line in lines if line.startswith("VmHWM:")) / 2**20
 
@@ -354,7 +354,7 @@ def _row(c: Results) -> tuple[str, ...]:
 
 
 def sections(results: Results) -> dict[str, str]:
-    """What docs/unknown_angles.md says of the lists of the paper and of noise."""
+    """Sections of docs/unknown_angles.md on the paper's lists and on noise."""
     cases = [c for c in results["cases"] if c["printed"]]
     return {
         "remarks": "\n".join(paragraph(text, "- ") for text in _remarks(cases)),
@@ -369,24 +369,28 @@ def _remarks(cases: Sequence[Results]) -> Iterable[str]:
         likely = sum(c["printed"]["angles_deg"] == c["most_probable"]["angles_deg"] for c in cases)
         ratio = c1["most_probable"]["probability"] / c1["printed"]["probability"]
         yield (
-            "**One printed stacking sequence stands for many.** The most probable stacking sequence is the "
-            f"printed one in {likely} of {len(cases)} printed cases. That of C1 is {ratio:.1f} times as "
-            f"probable as the printed one, and {counted(c1['credible_95_count'])} are needed to hold 95 %. "
-            f"D1's list leaves {100 * d1['credible_95_count'] / d1['enumerated']:.0f} % of the grid."
+            "**One printed stacking sequence stands for many.** The printed stacking sequence is the most "
+            f"probable one in {likely} of {len(cases)} cases. On C1 the most probable one is {ratio:.1f} "
+            "times as probable as the printed one, and the 95 % set holds "
+            f"{counted(c1['credible_95_count'])}. D1's 95 % set holds "
+            f"{100 * d1['credible_95_count'] / d1['enumerated']:.0f} % of the grid."
         )
     if "D3" in by_name:
         below = by_name["D3"]["printed"]["log_evidence_below_best"]
         yield (
-            "**A list that lacks a mode.** Of D3, whose list lacks the eighth mode "
-            f"([findings](findings.md)), the printed stacking sequence is {below:.1f} nats below the best: "
-            "with the list taken as complete, others suit it better than the true one."
+            "**A list that lacks a mode.** D3's list lacks the eighth mode ([findings](findings.md)); its "
+            f"printed stacking sequence is {below:.1f} nats below the best: with the list taken as complete, "
+            "others fit better than the true one."
         )
 
 
 def _determined(cases: Sequence[Results]) -> str:
     each = [(c["layup"].count("?"), c["determined_at"]) for c in cases]
     reached = [f"{f'{100 * at:g} %' if at else 'none'} with {n} unknown angles" for n, at in each]
-    return f"Noise that determines the class of C1's true stacking sequence with 0.95: {', '.join(reached)}."
+    return (
+        "Largest noise at which the class of C1's true stacking sequence has probability 0.95 or more: "
+        f"{', '.join(reached)}."
+    )
 
 
 def main() -> None:
@@ -402,7 +406,7 @@ def main() -> None:
         if args.quick:
             show(run(True, executor, notify=tell))
             return
-        # one at a time, so that what is done stays when the rest is stopped
+        # one at a time, so that finished cases are kept if the run is stopped
         for name in args.only or NAMES:
             save_results(RESULTS, with_saved(run(False, executor, (name,), tell), RESULTS, NAMES))
     found = saved_results(RESULTS)

@@ -3,8 +3,8 @@
 python studies/09_sequence_coverage.py [--quick] [--only NAME ...] [--trials N] [--workers N] [...]
 
 Sequence and constants are drawn from the prior, a list with 1 % noise is simulated by the reduced model that
-the evidences have too, and the place of the true sequence among all is noted
-(cpam_bayes/validation/stacking_coverage.py). One case a plate; cases that were saved before are kept.
+the evidences use too, and the rank of the true sequence among all is noted
+(studies/validation/sequences.py). One case per plate; saved cases are kept.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ LEVELS = (0.5, 0.8, 0.95)
 
 
 class Case(NamedTuple):
-    """A plate like a built-in one, and what is unknown of it."""
+    """A variant of a built-in plate, and its unknowns."""
 
     plate: str
     layup: str
@@ -78,7 +78,7 @@ SMALL = CoverageSettings(library=150, log2_points=6)
 
 
 def specimen_of(case: Case) -> Specimen:
-    """The plate of a case; a rectangular one has fewer images."""
+    """The plate of a case; a rectangular one has fewer symmetric images."""
     own = cb.read_plate(case.plate)
     width = own.plate.width if case.width is None else case.width
     plate = replace(own.plate, layup=parse_layup(case.layup), width=width)
@@ -91,7 +91,7 @@ def run(
     only: tuple[str, ...] | None = None,
     trials: int | None = None,
 ) -> Results:
-    """All cases, or those named; quick: a few trials of the thin plate on a coarse grid."""
+    """Results for all cases, or those named; quick: a few trials of the thin plate on a coarse grid."""
     cases = QUICK if quick else CASES
     settings = SMALL if quick else CoverageSettings()
     return {
@@ -133,7 +133,7 @@ def _case(
 
 
 def summary(found: tuple[Trial, ...]) -> Results:
-    """What the trials of one case say."""
+    """Summary of the trials of one case."""
     coverage = [summarised(found, level) for level in LEVELS]
     return {
         "coverage": [
@@ -185,7 +185,7 @@ def show(results: Results) -> None:
 
 
 def sections(results: Results) -> dict[str, str]:
-    """The table of docs/unknown_angles.md: how often sets hold the true stacking sequence."""
+    """The table of docs/unknown_angles.md on how often sets contain the true stacking sequence."""
     cases = results["cases"]
     levels = [row["level"] for row in cases[0]["coverage"]]
     head = (

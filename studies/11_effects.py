@@ -36,19 +36,19 @@ KEYS = {
     "effects": "one a cause: plate, size, relative shift of every mode in %, before and after projection",
 }
 
-# The free plate, and the clamped and the supported one for what the first cannot have.
+# The free plate, and the clamped and the supported one for causes that it cannot have.
 FREE, CLAMPED, SUPPORTED = "C1", "A2", "C1 SSSS"
-# Where a mass and a flaw are put, and the frequency that is misread, the mode that is missed.
+# Places of a mass and a flaw, and the index of the misread frequency and the missed mode.
 PLACES = {"sensor_mass": (0.95, 0.95, 0.0), "damage": (0.5, 0.5, 0.05)}
 LISTED = 2
-# The misreading that is drawn, relative.
+# Relative size of the misreading.
 SLIP = 0.05
-# Those of the quick version need no further plate model.
+# Causes of the quick version, which need no further plate model.
 QUICK = ("frequency_scale", "viscoelastic", "mode_identity", "outlier")
 
 
 def run(quick: bool) -> Results:
-    """Shifts at one standard deviation of the catalogue at the reference constants."""
+    """Shifts at one standard deviation of the catalogue, at the reference constants."""
     plates = {
         name: plate_case(_specimen(name)) for name in ((FREE,) if quick else (FREE, CLAMPED, SUPPORTED))
     }
@@ -92,7 +92,7 @@ def _shifts(plates: dict[str, PlateCase], effect: Effect) -> dict[str, Any]:
 
 
 def _own(case: PlateCase, effect: Effect) -> tuple[Array, float, str]:
-    """Relative shift by an effect on the plate or on its frequencies, the size and its unit as shown."""
+    """Relative shift by an effect on the plate or on its frequencies, with its size and unit as shown."""
     x = _reference(case)
     effect, *_ = variants(effect, case.models.facts)
     if effect.name in PLACES:
@@ -112,7 +112,7 @@ def _own(case: PlateCase, effect: Effect) -> tuple[Array, float, str]:
 
 
 def _of_list(case: PlateCase, effect: Effect) -> tuple[Array, float, str]:
-    """The third frequency misread, or the third mode missed: then each listed one is that of the next."""
+    """Shift by a misread third frequency, or by a missed third mode: later entries are of the next mode."""
     f = case.models.bare.predict(_reference(case)[None]).frequencies[0]
     if effect.name == "outlier":
         return SLIP * (np.arange(len(f)) == LISTED), 100.0 * SLIP, "%"
@@ -122,7 +122,7 @@ def _of_list(case: PlateCase, effect: Effect) -> tuple[Array, float, str]:
 
 
 def _projected(case: PlateCase, shift: Array) -> Array:
-    """What is left of a shift when the constants take what they can, without any prior."""
+    """Residual of a shift after a least-squares fit of the constants, without any prior."""
     x = _reference(case)[None]
     found = case.models.bare.predict(x, jacobian=True)
     assert found.jacobian is not None

@@ -44,7 +44,7 @@ ALONE = ("D&G", "A1", "A2", "B1", "B2", "C1", "C2", "C3", "C4", "D1", "D2", "D3"
 TOGETHER = (("A1", "A2"), ("B1", "B2"), ("C1", "C2"), ("C3", "C4"), ("D1", "D2"), ("D3", "D4"))
 _LISTED = 10
 CONSTANTS = ("E1_GPa", "E2_GPa", "G12_GPa")
-# Of a plate file, the same for all plates of spruce.
+# Sections of the plate file that all plates of spruce share.
 SPRUCE_SECTIONS = tomllib.loads("""
 [material]
 name = "spruce"
@@ -75,9 +75,9 @@ def run(
     only: Sequence[str] = (),
     keep: Callable[[Results], None] = lambda results: None,
 ) -> Results:
-    """Diagnose every group; quick: one plate.
+    """Diagnoses of all groups; quick: one plate.
 
-    only : names of groups, plates joined by ``+``. keep : told the results after each group.
+    only : names of groups, plates joined by ``+``. keep : called with the results after each group.
     """
     wood = spruce()
     groups = [g for g in groups_of(wood) if not only or "+".join(g) in only]
@@ -95,13 +95,13 @@ def run(
 
 
 def groups_of(wood: Iterable[str]) -> list[tuple[str, ...]]:
-    """All groups of plates: each alone, then those of one material together."""
+    """All groups of plates: each plate alone, then those of one material together."""
     alone = [(name,) for name in (*ALONE, *wood)]
     return [*alone, *TOGETHER]
 
 
 def row_of(document: Mapping[str, Any], seconds: float) -> Results:
-    """What is kept of an answer.
+    """The parts of an answer that are saved.
 
     document : the JSON document of `diagnose`
     """
@@ -152,7 +152,7 @@ def spruce() -> dict[str, Specimen]:
 
 
 def _spruce_plate(row: dict[str, str]) -> dict[str, Any]:
-    """The sections of a plate file."""
+    """The plate file of a row as a dictionary."""
     widths = [float(w) for w in row["widths_mm"].split(";")]
     measured = {key: float(row[key]) for key in ("length_mm", "thickness_mm", "mass_g")}
     return {
@@ -173,12 +173,12 @@ def _spruce_plate(row: dict[str, str]) -> dict[str, Any]:
 
 
 def line_of(row: Results) -> str:
-    """The answer about one group in a line."""
+    """Answer for one group in a line."""
     return f"{' + '.join(row['plates'])}: {row['claim']} {' '.join(row['causes'])} {row['probability']:.2f}"
 
 
 def sections(results: Results) -> dict[str, str]:
-    """What docs/findings.md says of the plates."""
+    """Section of docs/findings.md on the plates."""
     rows = {tuple(row["plates"]): row for row in results["groups"]}
     wood = tuple(spruce())
     alone = [rows[name,] for name in ALONE if (name,) in rows]
@@ -193,11 +193,11 @@ def sections(results: Results) -> dict[str, str]:
 
 
 def _answers(rows: Sequence[Results], names: Sequence[str] = CONSTANTS) -> Iterable[str]:
-    """A table: one group a line, the answer as the screen has it, and intervals of constants."""
+    """Table with one group per line: the answer as shown on the screen, and intervals of constants."""
     yield f"| {' | '.join(('plates', 'answer', 'misfit %, plain, extended', *names))} |"
     yield "|" + "---|" * (3 + len(names))
     for row in rows:
-        # an error of unknown form repairs nothing
+        # an error of unknown form corrects nothing
         after = None if row["claim"] == "other" else row["extended"]
         misfit = f"{row['baseline']['rms_percent']:.2f}" + (f", {after['rms_percent']:.2f}" if after else "")
         intervals = (_value(row["averaged"].get(name)) for name in names)
@@ -211,7 +211,7 @@ def _value(constant: Mapping[str, float] | None) -> str:
 
 
 def _published(rows: Sequence[Results]) -> str:
-    """How many published constants lie in the intervals, and which do not."""
+    """Sentence on how many published constants lie in the intervals, and which do not."""
     with SPRUCE.open(encoding="utf-8") as file:
         table = csv.DictReader(line for line in file if not line.startswith("#"))
         published = {row["plate"]: row["published_Ex_Ey_Gxy_nu"].split(";") for row in table}
@@ -222,8 +222,8 @@ def _published(rows: Sequence[Results]) -> str:
             within, of = row["averaged"][name], of + 1
             if not within["q025"] <= float(value) <= within["q975"]:
                 outside.append(f"{name.partition('_')[0]} of {plate} ({value})")
-    missed = f", not {listed(outside)}" if outside else ""
-    said = f"Of {of} published constants, nu12 among them, {of - len(outside)} lie in their 95 % intervals"
+    missed = f", but not {listed(outside)}" if outside else ""
+    said = f"Of {of} published constants, nu12 included, {of - len(outside)} lie in their 95 % intervals"
     return paragraph(f"{said}{missed}.")
 
 
@@ -239,12 +239,12 @@ _WOOD = """## Five plates of spruce
 
 Tonewood plates of Badiane et al. (J. Acoust. Soc. Am., 2023), free, with one accelerometer, in air; lists may
 lack modes. Priors: Sitka spruce of the Wood Handbook. The plates are not quite rectangles: 1L narrows from
-217 to 199 mm at one end, which no cause has, so that its claim is probably wrong.
+217 to 199 mm at one end, which no cause describes, so its claim is probably wrong.
 """
 
 
 def main() -> None:
-    """Diagnose, save and write the page."""
+    """Diagnose, save the results and write the page."""
     parser = study_parser(__doc__)
     parser.add_argument("--only", nargs="+", default=(), help="groups, plates of one joined by +")
     parser.add_argument("--page", action="store_true", help="write the page from what is saved, run nothing")

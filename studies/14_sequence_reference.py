@@ -3,11 +3,11 @@
 python studies/14_sequence_reference.py [--quick] [--only NAME ...] [--workers N] [--executor SPEC]
 
 Lists of a plate's own sequence and reference constants, noise-free, with 1 % or 0.2 % of noise stated.
-Sequences are drawn from the posterior, and the log evidence of the first ten classes of each list is computed
-again by static nested sampling (dynesty, the extra `audit`) on the whole reduced model instead of the one
-about the posterior. Where all sequences can be enumerated, others are drawn from all of the grid, so many of
-each layer of the surrogate, those that it has far below the best among them: they estimate the sum over all
-sequences, and the most by which such a one exceeds the surrogate.
+Sequences are drawn from the posterior, and the log evidences of the first ten classes of each list are
+computed again by static nested sampling (dynesty, the extra `audit`) on the whole reduced model instead of
+the one about the posterior. If all sequences can be enumerated, others are drawn from the whole grid, some
+from each layer of the surrogate's values, including those far below the best: they estimate the sum over all
+sequences, and the most by which a sequence of each layer exceeds the surrogate.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ SEED = 0
 
 
 class Case(NamedTuple):
-    """A built-in plate, what is unknown of its layup, and the noise that its list states."""
+    """A built-in plate, the unknowns of its layup, and the noise that its list states."""
 
     plate: str
     layup: str
@@ -72,11 +72,11 @@ class Case(NamedTuple):
 
 
 class Effort(NamedTuple):
-    """Of the check.
+    """Computational effort of the check.
 
-    nested : sequences drawn whose evidence is computed by nested sampling.
-    live_points : of each.
-    each : sequences drawn of a layer of the surrogate that weighs.
+    nested : number of drawn sequences whose evidence is computed by nested sampling.
+    live_points : of each nested run.
+    each : sequences drawn per layer of the surrogate that carries weight.
     """
 
     nested: int = 10
@@ -90,14 +90,14 @@ CASES = {
     "F1, 6 angles, 1 %": Case("F1", "[?/?/?/?/?/?/(0/90)_5]_s", 0.01),
     "F1, 6 angles, 0.2 %": Case("F1", "[?/?/?/?/?/?/(0/90)_5]_s", 0.002),
 }
-# Layers of the surrogate, nats below its top.
+# Bounds of the surrogate's layers, nats below its maximum.
 LAYERS = (-10.0, 3.0, 6.0, 9.0, 12.0, 16.0, 22.0, 30.0, 45.0, np.inf)
-# Sequences of a layer: log2 of the points of each, size of the library of constants that optimisations begin
-# at, and the members taken of it.
+# For the sequences of a layer: log2 of the importance points of each, size of the library of constants from
+# which optimisations start, and number of its members used.
 LAYER_POINTS, LIBRARY, STARTS = 9, 768, 8
-# The share of the sequences of a layer that are drawn of one that begins so far below, nats.
+# Layers beginning so far below, nats, get this fraction of the usual number of sequences.
 FAR_SHARE, FAR = 1 / 3, 12.0
-# Of so many sequences the sum over all is estimated; of more the surrogate would have to be enumerated.
+# The sum over all is estimated for at most so many sequences; more would need the surrogate to be enumerated.
 MOST_SUMMED = 3_000_000
 QUICK = Case("C1", "[(?/?/?)_5/0]_s", 0.01)
 SMALL = StackingSettings(
@@ -114,7 +114,7 @@ def run(
     only: tuple[str, ...] | None = None,
     notify: Notify = lambda text: None,
 ) -> Results:
-    """All cases or those named; quick: three angles on a coarse grid."""
+    """Results for all cases or those named; quick: three angles on a coarse grid."""
     if quick:
         few = Effort(nested=1, live_points=30, each=6)
         row = _case("C1, small", QUICK, 30.0, SMALL, few, executor, notify)
@@ -174,14 +174,14 @@ def _case(
 
 
 def _first_classes(sequences: Array, n: int) -> list[int]:
-    """Places of the first n sequences (m, k) that no earlier one equals."""
+    """Indices of the first n distinct sequences among (m, k)."""
     return sorted(np.unique(sequences, axis=0, return_index=True)[1].tolist())[:n]
 
 
 def _nested(
     conditional: ConditionalPosterior, item: tuple[Array, np.random.Generator, int]
 ) -> tuple[float, float]:
-    """The log evidence of a sequence (k,) degrees by nested sampling, and its error."""
+    """Log evidence of a sequence (k,) degrees by nested sampling, and its error."""
     angles_deg, rng, live_points = item
     posterior = conditional.at(angles_deg[None])
 
@@ -203,9 +203,9 @@ def _nested(
 
 
 def summary(rows: list[Results]) -> Results:
-    """Of sequences compared: differences in nats, and their rms with nested sampling's own error taken off.
+    """Differences of log evidences in nats, and their rms corrected for nested sampling's own error.
 
-    rms_at_most : that rms with two standard errors of its square more.
+    rms_at_most : that rms with its square enlarged by two standard errors.
     """
     miss = np.array([row["importance"] - row["nested"] for row in rows])
     error = np.array([row["nested_error"] for row in rows])
@@ -223,7 +223,7 @@ def summary(rows: list[Results]) -> Results:
 
 
 def _summed(problem: StackingProblem, effort: Effort) -> Results:
-    """The sum over all sequences from layers of the surrogate, by ratio estimates."""
+    """Sum over all sequences, estimated layer by layer by ratio estimates."""
     rng = np.random.default_rng([SEED, 4])  # the surrogate is trained as for the answer
     sums = problem.sums
     assert sums is not None, "so few sequences need no surrogate"
@@ -252,7 +252,7 @@ def _summed(problem: StackingProblem, effort: Effort) -> Results:
             library,
             scanned=STARTS,
         )
-        nearest = known[pick].max()  # of all far below it the weights are too small for a number
+        nearest = known[pick].max()  # relative to the best drawn: far below the maximum exp would underflow
         value = size[pick] * np.exp(found.log_evidence - nearest)
         expected = size[pick] * np.exp(known[pick] - nearest)
         ratio = float(value.sum() / expected.sum())
@@ -335,7 +335,7 @@ def show(results: Results) -> None:
 
 
 def sections(results: Results) -> dict[str, str]:
-    """What docs/unknown_angles.md says of errors of log evidences."""
+    """Section of docs/unknown_angles.md on errors of log evidences."""
     cases = [(c["case"], c["compared"]) for c in results["cases"]]
     if len(cases) > 1:
         cases.append(("all", [row for _, rows in cases for row in rows]))
@@ -357,7 +357,7 @@ def sections(results: Results) -> dict[str, str]:
         return {"errors": table}
     return {
         "errors": f"{table}\n\n"
-        + paragraph("A mean that all share cancels in the probabilities of sequences.")
+        + paragraph("An error common to all sequences cancels in their probabilities.")
     }
 
 

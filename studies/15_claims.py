@@ -5,17 +5,17 @@ python studies/15_claims.py [--seal] [--make SET ...] [--answer SET ...] [--meth
 python studies/15_claims.py --score FILE [--of SET]
 
 A list is a plate file with its truth, one JSON line in studies/data/claims/SET.jsonl: "id", "file", "truth".
-The set "development" is to look at. The set "sealed" is to judge: --seal draws its seed when the code is
-committed and writes the predictions down beside it; --make then makes the lists once, --answer asks the
-diagnosis once for each, with the commit and the date in the answer. Without these options the answers that
-there are become results, and the section of docs/hidden_effects.md.
+The set "development" is for inspection. The set "sealed" is for judging: --seal draws its seed once the code
+is committed and writes the predictions down beside it; --make then makes the lists once, --answer asks the
+diagnosis once for each, with the commit and the date in the answer. Without these options the existing
+answers are turned into results and into the section of docs/hidden_effects.md.
 
 --methods adds what users do instead, each with a threshold to abstain that is chosen on the set "development"
 for the diagnosis's own rate of wrong claims there; --engine NAME=TREE asks another version of the package.
 
---score prints the scores of a method of your own beside ours on the same lists, and writes nothing. FILE
-holds an answer a line, see validation/own_method.py. The method takes the "file" of a list alone: its
-"id" and its "truth" tell what is hidden.
+--score prints the scores of your own method beside ours on the same lists, and writes nothing. FILE holds an
+answer per line, see validation/own_method.py. The method may use the "file" of a list only: its "id" and its
+"truth" tell what is hidden.
 """
 
 from __future__ import annotations
@@ -61,29 +61,29 @@ KEYS = {
 DEVELOPMENT, SEALED = NAMES_OF_SETS = ("development", "sealed")
 DEVELOPMENT_SEED = 5150
 THIS = "diagnosis"
-# What is kept of each beside others.
+# Scores of each method that are kept for the comparison.
 BRIEF = ("by_kind", "by_ratio", "figures")
 NAMES = {m: f"{m.replace('_', ' ')}, {statistic}" for m, statistic in references.METHODS.items()}
 QUICK_LIST = "strength-clamp_length-8"
 
 
 def seed_of(name: str) -> int:
-    """The seed of a set, FileNotFoundError where it was not drawn yet."""
+    """Seed of a set; raises FileNotFoundError if it has not been drawn yet."""
     return DEVELOPMENT_SEED if name == DEVELOPMENT else int(json.loads(SEAL.read_text("utf-8"))["seed"])
 
 
 def data_path(name: str) -> Path:
-    """The lists of a set."""
+    """File with the lists of a set."""
     return DATA / f"{name}.jsonl"
 
 
 def answers_path(name: str, engine: str) -> Path:
-    """The answers of an engine or a method to a set."""
+    """File with the answers of an engine or a method to a set."""
     return DATA / "answers" / f"{name}_{engine}.jsonl"
 
 
 def run(quick: bool) -> Results:
-    """Scores of all answers that there are; quick: one list of the set for development, made and answered."""
+    """Scores of all existing answers; quick: one list of the development set, made and answered."""
     if quick:
         entries = [sets.made(DEVELOPMENT_SEED, QUICK_LIST)]
         with tempfile.TemporaryDirectory() as folder:
@@ -138,7 +138,7 @@ def _results(quick: bool, found: dict[str, tuple[list[Results], dict[str, dict[s
 
 
 def _tuned(entries: list[Results], engines: dict[str, dict[str, Results]]) -> Results:
-    """Thresholds of the methods for the rate of wrong claims that the diagnosis has on its lists of a set."""
+    """Thresholds at which the methods claim wrongly as often as the diagnosis does on a set."""
     ours = scoring.scored(entries, engines.get(THIS, {}))
     rate = sum(r["category"] == scoring.WRONG for r in ours), len(ours)
     methods = {
@@ -153,7 +153,7 @@ def _tuned(entries: list[Results], engines: dict[str, dict[str, Results]]) -> Re
 
 
 def make(name: str, workers: int) -> None:
-    """Write a set of lists, whole or not at all."""
+    """Write the lists of a set, all or none."""
     path, seed = data_path(name), seed_of(name)
     if name == SEALED and path.exists():
         raise seal.SealError(f"{path.name}: the lists are made")
@@ -171,7 +171,7 @@ def make(name: str, workers: int) -> None:
 def answer(
     name: str, engine: str, tree: Path, workers: int, minutes: float | None, only: str, limit: int | None
 ) -> None:
-    """Ask a version of the package for what is not answered yet, in processes that share the lists."""
+    """Ask a version of the package for the missing answers, in processes that share the lists."""
     if name == SEALED:
         seal.require_closed(SEAL, data_path(SEALED))
     path = answers_path(name, engine)
@@ -188,19 +188,19 @@ def answer(
 
 
 def _provenance(tree: Path) -> Results:
-    """What each answer keeps: commit and date, and of this tree the fingerprint of today's code."""
+    """Record kept with each answer: commit and date, and for this tree the fingerprint of today's code."""
     own = {KEY: fingerprint_of_study(RESULTS.stem)} if tree.resolve() == HERE.parent.resolve() else {}
     return {**seal.provenance(tree), **own}
 
 
 def refer(name: str, minutes: float | None, limit: int | None) -> None:
-    """The answers of simple methods, as long as there is time."""
+    """Answer with the simple methods, as long as there is time."""
     end = math.inf if minutes is None else time.monotonic() + 60.0 * minutes
     paths = {m: answers_path(name, m) for m in references.METHODS}
     for path in paths.values():
         path.parent.mkdir(parents=True, exist_ok=True)
     done = set.intersection(*(set(answering.answered(p)) for p in paths.values()))
-    # first those that they stand beside
+    # first the lists that the diagnosis has answered
     mine = set(answering.answered(answers_path(name, THIS)))
     entries = sorted(answering.asked(data_path(name), limit=limit), key=lambda r: r["id"] not in mine)
     for entry in (e for e in entries if e["id"] not in done):
@@ -215,7 +215,7 @@ def refer(name: str, minutes: float | None, limit: int | None) -> None:
 
 
 def scores_beside_ours(name: str, path: Path) -> str:
-    """What is said of a method's own answers to a set; AnswerError for a file of none."""
+    """Text on a method's own answers to a set; raises AnswerError for an invalid file."""
     entries = answering.asked(data_path(name))
     own = own_method.read(path, {entry["id"] for entry in entries})
     ours = answering.answered(answers_path(name, THIS))
@@ -227,7 +227,7 @@ def scores_beside_ours(name: str, path: Path) -> str:
 
 
 def sections(results: Results) -> dict[str, str]:
-    """What docs/hidden_effects.md says of each set, and README of the sealed one."""
+    """Sections of docs/hidden_effects.md on each set, and of README on the sealed one."""
     found = {}
     for name, scores in results["sets"].items():
         total, beside = results["lists"][name], results["beside"][name]
@@ -241,7 +241,7 @@ def sections(results: Results) -> dict[str, str]:
 
 
 def show(results: Results) -> None:
-    """Print what is said of each set."""
+    """Print the section on each set."""
     for name, text in sections(results).items():
         print(f"\n== {name}\n\n{text}")
 
@@ -255,7 +255,7 @@ def _lines(path: Path) -> list[Results]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Seal, make, answer, refer, or sum up."""
+    """Seal, make, answer, run the simple methods, or sum up."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--seal", action="store_true", help="draw the seed of the sealed set")

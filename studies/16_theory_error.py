@@ -3,14 +3,14 @@
 python studies/16_theory_error.py [--quick] [--only [CASE ...]]
 
 Plates of 240 x 180 mm are solved twice with the same constants: by the Ritz model and by CalculiX on
-20-node bricks (C3D20R, a layer or more for each run of equal plies). A clamped edge of bricks is a
-face that is held over the whole thickness. Bricks are solved on two meshes, the finer with twice as many
-elements in the plane; their frequencies are extrapolated as f_fine - (f_coarse - f_fine) / 3, which is
-right where the error falls with the fourth power of the element's side and too little where it falls
-faster. A third of the difference is the error that is stated for them.
+20-node bricks (C3D20R, a layer or more for each run of equal plies). A clamped edge of the bricks is a face
+fixed over the whole thickness. Bricks are solved on two meshes, the finer with twice as many elements in the
+plane; their frequencies are extrapolated as f_fine - (f_coarse - f_fine) / 3, which is right if the error
+falls with the fourth power of the element's side and too little if it falls faster. A third of the difference
+is stated as their error.
 
-The bias of the theory and what is left open of it are fitted to all bending modes by maximum likelihood, the
-factor of the bias known to a half, beside the error of the bricks; fitted to every second plate they are
+The bias of the theory and its remaining error are fitted to all bending modes by maximum likelihood, the
+factor of the bias known to a half, beside the error of the bricks; fitted to every second plate, they are
 judged on the others.
 
 Cases that are saved are not run again unless they are named with --only, which alone runs none: the rule
@@ -80,7 +80,7 @@ ORDINARY = ("cross-ply", "unidirectional", "quasi-isotropic")
 LENGTH_MM, WIDTH_MM = 240.0, 180.0
 # Short side over thickness.
 SLENDERNESS = (150, 50, 25, 15)
-# Rms over the modes that the bricks of a plate are off, at most, where the largest differences are stated.
+# Largest rms error of a plate's bricks, over its modes, for which the largest differences are reported.
 EXACT_BRICKS_PERCENT = 0.2
 
 
@@ -94,12 +94,12 @@ class Case(NamedTuple):
 
     @property
     def name(self) -> str:
-        """As it stands in the results."""
+        """Name of the case in the results."""
         return f"{self.material}, {self.layup}, {self.edges}, h/b = 1/{self.slenderness}"
 
 
 def cases() -> dict[str, Case | str]:
-    """All cases by name; built-in specimens stand by their names."""
+    """All cases by name; built-in specimens are represented by their names."""
     plates = [Case("carbon", k, e, s) for k in ORDINARY for e in ("FFFF", "CFFF") for s in SLENDERNESS]
     plates += [Case("glass", k, e, s) for k in ORDINARY for e in ("FFFF", "CFFF") for s in SLENDERNESS]
     plates += [Case("high modulus", "cross-ply", e, s) for e in ("FFFF", "CFFF") for s in SLENDERNESS]
@@ -131,14 +131,14 @@ def specimen_of(case: Case | str) -> Specimen:
 
 
 def measured(name: str, case: Case | str, in_plane: int, n_modes: int) -> Results:
-    """The row of one plate.
+    """Results row of one plate.
 
     in_plane : elements in the plane of the finer mesh.
     """
     specimen = specimen_of(case)
     constants = reference_constants(specimen)
     ritz = cb.forward(specimen, n_modes)
-    # two more than are compared: where two modes lie close the other solver may have them in another order
+    # two extra modes: where two lie close the other solver may have them in another order
     coarse, fine = (
         solve_modes(specimen, constants, n_modes + 2, in_plane=n) for n in (in_plane // 2, in_plane)
     )
@@ -179,9 +179,9 @@ def measured(name: str, case: Case | str, in_plane: int, n_modes: int) -> Result
 def run(
     quick: bool, only: Iterable[str] | None = None, done: Callable[[Results], None] = lambda row: None
 ) -> Results:
-    """The named cases, or all.
+    """Results for the named cases, or all.
 
-    done : gets every row as soon as it is there.
+    done : called with every row as soon as it is there.
     """
     every = cases()
     names = [next(iter(every))] if quick else list(only if only is not None else every)
@@ -218,7 +218,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def with_rule(results: Results) -> Results:
-    """The results with the rule as it is today, which needs no bricks."""
+    """The results with today's rule, which needs no bricks."""
     every = cases()
     for row in results["cases"]:
         specimen = specimen_of(every[row["case"]])
@@ -229,7 +229,7 @@ def with_rule(results: Results) -> Results:
 
 
 def rule(specimen: Specimen, f: Array) -> tuple[list[float], list[float]]:
-    """Bias of the Ritz model, and all that is left open of it, of frequencies f (n,), %."""
+    """Bias of the Ritz model and its remaining error, of frequencies f (n,), %."""
     common, powers = common_theory_errors(specimen), theory_powers(f)
     left = theory_error(specimen, f) ** 2 + sum((sd * powers[name]) ** 2 for name, sd in common.items())
     bias = f / theory_bias(specimen).of(f) - 1.0
@@ -252,7 +252,7 @@ _FLOOR, _FACTOR = 1e-4, 0.5
 
 
 def fitted(rows: Sequence[Results]) -> Results:
-    """Coefficients of the rule by maximum likelihood over all plates, and fitted to every second one."""
+    """Coefficients of the rule by maximum likelihood over all plates, and over every second one."""
     plates = [plate_of(row) for row in rows if rms(row, "bricks_error_percent") <= 1.0]
     every, half = most_likely(plates), most_likely(plates[::2])
     judged = [chi_squared(half, plate) / len(plate.bias) for plate in plates[1::2]]
@@ -264,7 +264,7 @@ def fitted(rows: Sequence[Results]) -> Results:
 
 
 def plate_of(row: Results) -> Plate:
-    """A plate of the results."""
+    """The plate of a results row."""
     modes = [m for m in row["modes"] if m["kind"] != "in-plane"]
     bias = np.log([m["bricks_hz"] / m["ritz_hz"] for m in modes])
     bricks = np.array([m["bricks_error_percent"] for m in modes]) / 100.0
@@ -273,7 +273,7 @@ def plate_of(row: Results) -> Plate:
 
 
 def most_likely(plates: Sequence[Plate]) -> Array:
-    """The coefficients of largest likelihood, (6,)."""
+    """Maximum-likelihood coefficients, (6,)."""
 
     def objective(log: Array) -> float:
         return sum(chi_squared(np.exp(log), p) + log_determinant(np.exp(log), p) for p in plates)
@@ -283,7 +283,7 @@ def most_likely(plates: Sequence[Plate]) -> Array:
 
 
 def chi_squared(coefficients: Array, plate: Plate) -> float:
-    """r^T S^-1 r of a plate's modes about the bias."""
+    """r^T S^-1 r for the residuals r of a plate's modes about the bias."""
     r = plate.bias - coefficients[0] * plate.shear
     return float(r @ np.linalg.solve(covariance(coefficients, plate), r))
 
@@ -294,7 +294,7 @@ def log_determinant(coefficients: Array, plate: Plate) -> float:
 
 
 def covariance(coefficients: Array, plate: Plate) -> Array:
-    """S of a plate's modes: what they have in common, and each by itself."""
+    """Covariance S of a plate's modes: the error common to all and the error of each."""
     shear, free, clamps, *own = coefficients
     alone = _FLOOR**2 + plate.bricks**2 + (own[0] * plate.shear) ** 2
     alone = alone + (own[1] * plate.free) ** 2 + (own[2] * plate.clamped) ** 2
@@ -303,13 +303,13 @@ def covariance(coefficients: Array, plate: Plate) -> Array:
 
 
 def sections(results: Results) -> dict[str, str]:
-    """What docs/theory.md says of the modes that the model misses by most."""
+    """Section of docs/theory.md on the modes with the largest errors of the model."""
     return {"largest": _largest(results["cases"])}
 
 
 def _largest(cases: Sequence[Results]) -> str:
-    """The modes that the model takes as too soft and too stiff by most, by the edges of the plate."""
-    said = [f"Ritz model less bricks in the worst modes, bricks exact to {EXACT_BRICKS_PERCENT:g} %:"]
+    """The modes that the model makes too soft and too stiff by most, by the edges of the plate."""
+    said = [f"Worst modes, Ritz model less bricks, where bricks are exact to {EXACT_BRICKS_PERCENT:g} %:"]
     exact = [c for c in cases if rms(c, "bricks_error_percent") <= EXACT_BRICKS_PERCENT]
     for words, chosen in (
         ("free all round", [c for c in exact if c["edges"] == "FFFF"]),
@@ -318,7 +318,7 @@ def _largest(cases: Sequence[Results]) -> str:
         modes = [(m["difference_percent"], c["case"]) for c in chosen for m in c["modes"]]
         if modes:
             (soft, softest), (stiff, stiffest) = min(modes), max(modes)
-            said.append(f"on plates {words} {soft:+.2f} % ({softest}) to {stiff:+.2f} % ({stiffest});")
+            said.append(f"plates {words} {soft:+.2f} % ({softest}) to {stiff:+.2f} % ({stiffest});")
     return paragraph(" ".join(said).rstrip(";") + ".")
 
 
@@ -328,7 +328,7 @@ def rms(case: Results, key: str) -> float:
 
 
 def print_rows(results: Results) -> None:
-    """Each mode of each case on a line."""
+    """Print one line per mode of each case."""
     for row in results["cases"]:
         print(row["case"])
         for m in row["modes"]:

@@ -4,12 +4,12 @@ python studies/17_worked_cases.py [--quick] [--only [CASE ...]] [--measure [CASE
 
 The cases are those of `validation/brick_cases.py`: plates that are not built in, with constants a few per
 cent off their files', a flaw in geometry, masses or supports of three-dimensional bricks, and 0.2 % of
-noise. Their plate files stand in `studies/data/bricks` with their truths beside them; --measure makes
-them anew with CalculiX, all or those named, in about a minute each. Every file is then diagnosed as it is.
+noise. Their plate files are in `studies/data/bricks` with their truths beside them; --measure makes them anew
+with CalculiX, all or those named, in about a minute each. Every file is then diagnosed as it is.
 
-An answer is `right` where it names the cause alone, or none where nothing is wrong; `right as a class` where
-the cause is among several that it calls indistinguishable; `other`, `undecided`; `calm` where it says none
-though something is wrong; and else `wrong`.
+An answer is `right` if it names the cause alone, or none if nothing is wrong; `right as a class` if the cause
+is among several that it calls indistinguishable; `other`, `undecided`; `calm` if it says none though
+something is wrong; and otherwise `wrong`.
 
 Cases that are saved are not diagnosed again unless they are named with --only, which alone runs none. The
 page docs/hidden_effects.md is written from the saved results.
@@ -50,9 +50,9 @@ KEYS = {
 }
 
 NAMED = {effect.name for effect in CATALOGUE}
-# Answers that say the same as the cause.
+# Names that mean the same as the cause.
 SAME = {"soft_clamp": {"clamp_rotation", "clamp_translation"}}
-# A size is held where it is no farther off than this, in its standard deviations: 95 % of them.
+# A size counts as inside within this number of its standard deviations: 95 % of a normal.
 HELD = 1.96
 SHOWN_CAUSES = 6
 _QUICK = "clean_clamped"
@@ -60,7 +60,7 @@ _QUICK_CATALOGUE = tuple(effect for effect in CATALOGUE if effect.change is effe
 
 
 def verdict(cause: str, claim: str, causes: Iterable[str]) -> str:
-    """An answer beside the truth, in the words of this study."""
+    """Verdict on an answer, given the truth, in the words of this study."""
     claimed = set(causes)
     if claim == "none":
         return "right" if cause == "none" else "calm"
@@ -76,7 +76,7 @@ def verdict(cause: str, claim: str, causes: Iterable[str]) -> str:
 
 
 def row_of(truth: Mapping[str, Any], document: Mapping[str, Any]) -> Results:
-    """What is kept of the answer about one plate.
+    """Results row with the parts of a plate's answer that are kept.
 
     truth : of `truths.json`
     document : the JSON document of `diagnose`
@@ -130,9 +130,9 @@ def _residuals(fit: Mapping[str, Any]) -> list[float | None]:
 def run(
     quick: bool, only: Iterable[str] | None = None, done: Callable[[Results], None] = lambda row: None
 ) -> Results:
-    """Diagnose the named cases, or all; quick: one, among the causes that need no further plate model.
+    """Diagnoses of the named cases, or all; quick: one, with only causes that need no further plate model.
 
-    done : gets the row of each case as soon as it is there.
+    done : called with the row of each case as soon as it is there.
     """
     truths = json.loads(TRUTHS.read_text(encoding="utf-8"))
     rows = []
@@ -159,7 +159,7 @@ def measure(names: Iterable[str]) -> None:
 
 
 def sections(results: Results) -> dict[str, str]:
-    """What docs/hidden_effects.md says of the cases."""
+    """Section of docs/hidden_effects.md on the cases."""
     rows = results["cases"]
     words = [row["verdict"] for row in rows]
     counts = ", ".join(f"{word} {words.count(word)}" for word in dict.fromkeys(sorted(words)))
@@ -178,27 +178,27 @@ def _line(row: Results) -> str:
 
 
 def _sizes(rows: Iterable[Results]) -> str:
-    """How many sizes of the true causes are within their intervals, with those that are not."""
+    """Sentence on how many sizes of the true causes lie in their intervals, and which do not."""
     said, sizes = list[str](), 0
     for row in rows:
         found = {h["cause"]: h["parameters"] for h in row["hypotheses"]}[row["truth"]["cause"]]
         for name, truth in true_sizes(CASES[row["case"]]).items():
             mean, sd, sizes = found[name]["mean"], found[name]["sd"], sizes + 1
             if abs(mean - truth) > HELD * sd:
-                said.append(f"{row['case']}, {truth:.3g}: {mean:.3g} +- {sd:.2g}")
+                said.append(f"{row['case']}, true {truth:.3g}: {mean:.3g} +- {sd:.2g}")
     missed = f" (not {'; '.join(said)})" if said else ""
-    return f"Of the sizes of the true causes {sizes - len(said)} of {sizes} do{missed}."
+    return f"So do {sizes - len(said)} of {sizes} sizes of the true causes{missed}."
 
 
 def true_sizes(case: BrickCase) -> dict[str, float]:
-    """Sizes of a true cause by its parameters, in the unit of the answer, where the truth has one."""
+    """Sizes of a true cause by parameter, in the unit of the answer, if the truth has one."""
     flaws, area = case.flaws, math.prod(case.sides[:2])
     notch = 0.0 if flaws.notch is None else 1e6 * flaws.notch.along_x * flaws.notch.along_y
     sizes = {
         "sensor_mass": 1e3 * sum(mass.mass for mass in flaws.masses),
         "misorientation_deg": flaws.turned_deg,
         "taper_x": 100.0 * flaws.taper[0],
-        # the root mean square of both, as the catalogue has it
+        # root mean square of both, as in the catalogue
         "sag": 1e3 * math.hypot(*flaws.sag) / math.sqrt(2.0),
         "missing_area": 100.0 * notch / area,
     }
@@ -206,7 +206,7 @@ def true_sizes(case: BrickCase) -> dict[str, float]:
 
 
 def _missed(rows: Iterable[Results]) -> str:
-    """The true constants outside their intervals, in brackets."""
+    """The true constants outside their intervals, in parentheses."""
     said = [
         f"{row['case']} {c['name']} {c['truth']:.4g}, {c['q025']:.4g} to {c['q975']:.4g}"
         for row in rows
@@ -221,7 +221,7 @@ _TABLE = """| case | what is wrong | answer | verdict |
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measure where asked, diagnose the cases that are not saved, and write the page."""
+    """Measure if asked, diagnose the cases that are not saved, and write the page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--only", nargs="*", metavar="CASE", choices=tuple(CASES))
@@ -243,7 +243,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def print_rows(results: Results) -> None:
-    """Each case on a line."""
+    """Print one line per case."""
     for row in results["cases"]:
         causes = ", ".join(row["causes"]) or "-"
         print(

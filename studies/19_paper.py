@@ -47,7 +47,7 @@ KEYS = {
 }
 COMPUTED_BY = "cpam_bayes.questions.paper.work"
 SEED = 0
-# By which version and when the studies were run that the package's stored results are taken from.
+# Version and date of the study runs from which the package's stored results were taken.
 RUNS = {
     "02_agreement": {"version": "0.1.0", "date": "2026-11-21"},
     "07_fpso": {"version": "0.1.0", "date": "2026-11-22"},
@@ -57,20 +57,20 @@ RUNS = {
 
 
 def run(quick: bool, executor: str | None = "serial", workers: int | None = None) -> Results:
-    """All tables; quick: Table 7 with the small effort."""
+    """Results for all tables; quick: Table 7 with the small effort."""
     numbers = (7,) if quick else NUMBERS
     return judged(quick, numbers, computed(quick, False, executor, workers))
 
 
 def judged(quick: bool, numbers: tuple[int, ...], tasks: Tasks) -> Results:
-    """What is saved of finished computations."""
+    """Results from finished computations, in the form that is saved."""
     done = [{"case": task.title, "fingerprint": found["fingerprint"]} for task, found in tasks.items()]
     document = compared(numbers, tasks, seed=SEED, quick=quick).to_dict()
     return {"quick": quick, "paper": document, "computations": done}
 
 
 def computed(quick: bool, missing: bool, executor: str | None, workers: int | None) -> Tasks:
-    """The computations, where a stopped run goes on; missing : only those that the package lacks."""
+    """Run the computations, continuing a stopped run; missing : only those that the package lacks."""
     directory, effort = cache_directory() / "paper", QUICK if quick else FULL
 
     def known(task: Task) -> Results | None:
@@ -82,7 +82,7 @@ def computed(quick: bool, missing: bool, executor: str | None, workers: int | No
 
 
 def from_package() -> Results:
-    """The results from the computations that come with the package; nothing is computed."""
+    """The results from the computations that come with the package, without computing anything."""
     packaged.cache_clear()
     tasks = dict.fromkeys(task for number in NUMBERS for task in tasks_of(number, SEED))
     found = {task: results for task in tasks if (results := comes_with_the_package(task)) is not None}
@@ -100,7 +100,7 @@ def rows_file(results: Results) -> str:
 
 
 def stored(name: str) -> Results:
-    """The results that come with the package under a name, from those of studies 02, 07, 08 and 12."""
+    """Results that come with the package under a name, made from those of studies 02, 07, 08 and 12."""
     return STORED_BY[name]()
 
 
@@ -109,7 +109,7 @@ def _results(study: str) -> Any:
 
 
 def _seconds(each: dict[str, float]) -> Results:
-    """Of all plates, and of each."""
+    """Total seconds, and those of each plate."""
     return {"seconds": sum(each.values()), "seconds_each": each}
 
 
@@ -149,7 +149,7 @@ def _sequences() -> Results:
 
 
 def _swarms() -> Results:
-    """Ends of searches of angles and constants without noise, of the plates of Tables 11 to 14."""
+    """Final sequences of noise-free searches of angles and constants, for the plates of Tables 11 to 14."""
     names = {row.specimen for n in (11, 12, 13, 14) for row in printed_table(n).rows}
     every = _results("07_fpso")["cases"]
     free = {row["case"]: row for row in every if row["data"] == "printed" and row["case"] in names}
@@ -169,7 +169,7 @@ def _swarms() -> Results:
 
 
 def _diagnoses() -> Results:
-    """With the factor on each plate's frequencies, which takes a second a plate."""
+    """Diagnoses, each with the factor on the plate's frequencies, which takes a second per plate."""
     groups = _results("12_findings")["groups"]
     alone = {row["plates"][0]: row for row in groups if len(row["plates"]) == 1}
     measured = {row.specimen for n in (1, 4) for row in printed_table(n).rows}

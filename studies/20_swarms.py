@@ -2,9 +2,9 @@
 
 python studies/20_swarms.py [--quick] [--only C1 ...]
 
-The best misfit known of a plate is the least of all runs and of an exhaustive search: scipy's least squares
-(SLSQP where these break E1 > E2) from the best 100 of 4096 points that fill the search bounds. A run counts
-where its misfit is within 0.1 %.
+The best misfit known for a plate is the least of all runs and of an exhaustive search: scipy's least squares
+(SLSQP if it violates E1 > E2) from the best 100 of 4096 points that fill the search bounds. A run succeeds if
+its misfit is within 0.1 %.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ PLATES = ("D&G", "A1", "A2", "B1", "B2", "C1", "C2", "C3", "C4", "D1", "D2", "D3
 SEEDS = 20
 CLOSE = 1e-3
 POINTS, STARTS = 4096, 100
-# E1 is above E2 by this fraction at least.
+# Least fraction by which E1 exceeds E2.
 _MARGIN = 1e-7
 
 KEYS = {
@@ -50,7 +50,7 @@ KEYS = {
 def run(
     quick: bool = False, only: Sequence[str] = (), keep: Callable[[Results], None] = lambda results: None
 ) -> Results:
-    """Search every plate with every seed; quick: one plate, two seeds."""
+    """Results for every plate with every seed; quick: one plate, two seeds."""
     names = [name for name in PLATES if not only or name in only]
     names, seeds = (["A1"], 2) if quick else (names, SEEDS)
     rows = []
@@ -63,10 +63,10 @@ def run(
 
 
 def plate(specimen: Specimen, seeds: int) -> Results:
-    """One plate: the exhaustive search, then both ways with every seed."""
+    """Results for one plate: the exhaustive search, then both methods with every seed."""
     ways: dict[str, list[Search]] = {}
     seconds: dict[str, float] = {}
-    # all run on the model that is converged at the answer of the first
+    # all run on the model converged at the first answer
     centre = search(specimen, 0, swarms=MOST_SWARMS).centre
     for way, swarms in (("single", 1), ("several", MOST_SWARMS)):
         start = time.process_time()
@@ -99,9 +99,9 @@ def plate(specimen: Specimen, seeds: int) -> Results:
 
 
 def exhaustive(specimen: Specimen, searched: Search) -> float:
-    """The least misfit of scipy's trust-region least squares from the best of points that fill the bounds.
+    """Least misfit by scipy's trust-region least squares, from the best of points that fill the bounds.
 
-    Where these end at E2 above E1, sequential quadratic programming keeps to the constraint.
+    If it ends with E2 above E1, sequential quadratic programming enforces the constraint.
     """
     measurement, unknowns = required(specimen)
     f, model = measurement.frequencies, searched.model
@@ -133,7 +133,7 @@ def exhaustive(specimen: Specimen, searched: Search) -> float:
         if admissible(end.x):
             least = min(least, 2.0 * end.cost)
         elif {"E1", "E2"} <= set(unknowns.names):
-            # the optimum is where eq. (9) ends: E1 > E2
+            # the optimum is at the limit of eq. (9): E1 > E2
             within = minimize(
                 lambda u: np.sum(residual(u) ** 2) / scale,
                 unit,
@@ -149,7 +149,7 @@ def exhaustive(specimen: Specimen, searched: Search) -> float:
 
 
 def line(row: Results) -> str:
-    """One plate in a line."""
+    """Result for one plate in a line."""
     single, several = row["single"], row["several"]
     return (
         f"{row['case']}: F {row['best']:.5g} (exhaustive {row['exhaustive']:.5g}); single swarm "
@@ -159,7 +159,7 @@ def line(row: Results) -> str:
 
 
 def main() -> None:
-    """Run and save."""
+    """Run the study and save the results."""
     parser = study_parser(__doc__)
     parser.add_argument("--only", nargs="+", default=(), help="names of plates")
     args = parser.parse_args()

@@ -2,11 +2,11 @@
 
 python studies/21_hard_use.py [--quick] [--minutes M] [--inputs N]
 
-Hypothesis makes texts and files of each kind (cpam_bayes/validation/hostile), and nine times as many are made
-of pieces of those, which is quicker. Stored files are damaged byte by byte, functions get arguments of wrong
-types, and running commands get signals. An input may be accepted or refused with a message; anything else,
-a warning of another library on the screen included, is a failure. Each kind that has no end gets an equal
-part of the time that those before it left.
+Hypothesis makes texts and files of each kind (studies/validation/hostile), and nine times as many are spliced
+from pieces of those, which is quicker. Stored files are damaged byte by byte, functions get arguments of
+wrong types, and running commands get signals. An input may be accepted or refused with a message; anything
+else, including a warning of another library on the screen, is a failure. Each open-ended kind gets an equal
+share of the time left by those before it.
 """
 
 from __future__ import annotations
@@ -77,13 +77,13 @@ KEYS = {
 
 SEED = 0
 INPUTS = 100_000
-# Inputs that hypothesis makes from one seed, and how many are made of pieces of those for each.
+# Inputs that hypothesis makes from one seed, and number of inputs spliced from pieces for each of them.
 BATCH, CROSSED = 1000, 9
-# Length and width of the plate that modes of universal files are placed on, m.
+# Length and width of the plate on which modes of universal files are placed, m.
 SIDES = (0.2, 0.1)
 SHOWN_FAILURES = 5
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGKILL")
-# Commands that take long, and that write into a directory.
+# Commands that take long and write into a directory.
 LONG = {
     "identify": ("identify", "A1", "--particles", "10000", "--swarms", "1"),
     "identify, emcee": ("identify", "C1", "--backend", "emcee"),
@@ -99,7 +99,7 @@ WRONG = (object(), 1j, b"C1", [], {}, "?", -1, float("nan"), print, ...)
 
 
 class Tally:
-    """What became of the inputs of one kind."""
+    """Outcomes of the inputs of one kind."""
 
     def __init__(
         self,
@@ -116,11 +116,11 @@ class Tally:
 
     @property
     def is_open(self) -> bool:
-        """Whether there is time and room for another input."""
+        """Whether time and number allow another input."""
         return self.inputs < self._most and time.monotonic() < self._end
 
     def record(self, shown: object, answer: Callable[[], object]) -> None:
-        """Give one input; ``answer`` returns something false where it was refused without an exception."""
+        """Try one input; ``answer`` returns a false value if it was refused without an exception."""
         if not self.is_open:
             return
         self.inputs += 1
@@ -129,7 +129,7 @@ class Tally:
             accepted = bool(answer())
         except self._refusals:
             accepted = False
-        except Exception as error:  # noqa: BLE001 - what is looked for
+        except Exception as error:  # noqa: BLE001 - any exception is a failure to report
             self.failures.append(
                 {
                     "kind": self.kind,
@@ -156,7 +156,7 @@ class Tally:
 
 
 def run(quick: bool, inputs: int = INPUTS, minutes: float = 10.0) -> Results:
-    """All kinds of input, then all signals."""
+    """Results for all kinds of input, then all signals."""
     most, seconds = (20, 40.0) if quick else (inputs, 60.0 * minutes)
     warnings.simplefilter("error")
     end = time.monotonic() + seconds
@@ -180,7 +180,7 @@ def run(quick: bool, inputs: int = INPUTS, minutes: float = 10.0) -> Results:
 
 
 def _kinds(most: int) -> list[Callable[[float], Tally]]:
-    """Functions of the seconds that a kind has; the quick kinds first."""
+    """Functions that test one kind each for a given time in seconds; the quick kinds first."""
     made = _made_by_hypothesis
     return [
         partial(_wrong_arguments, most),
@@ -209,7 +209,7 @@ def _read_shapes(content: bytes) -> object:
 
 
 def _poles_of(ending: str) -> Callable[[str | bytes], object]:
-    """What `cb.poles` makes of the content of a file."""
+    """Function that gives the result of `cb.poles` for the content of a file."""
     of_hits: Results = {"force": 1, "response": (2,), "window": "exponential"}
 
     def answer(content: str | bytes) -> object:
@@ -226,7 +226,7 @@ def _read(text: str) -> object:
 
 
 def _read_table(text: str) -> object:
-    """The modes of a table; ``None`` where it is refused."""
+    """Modes of a table; ``None`` if it is refused."""
     rows, problems = read_modes_table(text)
     modes = None
     if rows is not None:
@@ -260,7 +260,7 @@ def _made_by_hypothesis(
 
 
 def _made(strategy: st.SearchStrategy[Content], number: int, most: int) -> list[Content]:
-    """What hypothesis makes from one seed."""
+    """Inputs that hypothesis makes from one seed."""
     made: list[Content] = []
 
     @seed(number)
@@ -287,7 +287,7 @@ def _large_files() -> Tally:
 
 
 def _large_universal_files() -> Tally:
-    """Of modes at their limit of size, and universal files and tables of responses of half as much."""
+    """Outcomes for universal files and tables of modes and of responses at their limits of size."""
     both = len(LARGE_UNIVERSAL_FILES)
     refusals = (UniversalFileError, ModalTestError)
     tally = Tally(
@@ -302,7 +302,7 @@ def _large_universal_files() -> Tally:
 
 
 def _damaged_files(most: int, seconds: float) -> Tally:
-    """Stored arrays after one kind of damage each, in turn; what is read back must be nothing."""
+    """Outcomes for stored arrays after each kind of damage in turn; they must read back as nothing."""
     tally = Tally("damaged stored files", (), most, seconds)
     rng = np.random.default_rng(SEED)
     logging.getLogger("cpam_bayes").addHandler(logging.NullHandler())
@@ -320,7 +320,7 @@ def _damaged_files(most: int, seconds: float) -> Tally:
 
 
 def _wrong_arguments(most: int, seconds: float) -> Tally:
-    """Every argument of every function of the library, given something else."""
+    """Outcomes for every argument of every public function, given a value of a wrong type."""
     tally = Tally("arguments of wrong types", (ArgumentError, ValueError), most, seconds)
     with TemporaryDirectory() as folder, contextlib.chdir(folder):  # some write files
         _give_arguments(tally)
@@ -348,9 +348,9 @@ def _arguments() -> Iterator[tuple[str, str, object]]:
 
 
 def _signalled(which: str, name: str) -> Results:
-    """A long command that gets a signal while it computes, and a short one after it in the same directory."""
+    """Send a signal to a long command while it computes, then run a short one in the same directory."""
     command = [sys.executable, "-m", "cpam_bayes"]
-    # what was started in the background ignores these, and so would the command
+    # programs started in the background ignore these signals, and so would the command
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     with TemporaryDirectory() as folder:
@@ -385,16 +385,16 @@ def _drafts(folder: str) -> int:
 
 
 def sections(results: Results) -> dict[str, str]:
-    """What docs/robustness.md says of the results."""
+    """Section of docs/robustness.md on the results."""
     kinds, failed = results["kinds"], sum(row["failed"] for row in results["kinds"])
     inputs = sum(row["inputs"] for row in kinds)
     slowest = max(row["slowest_seconds"] for row in kinds)
     accepted = sum(row["accepted"] for row in kinds)
     tried = listed([row["kind"] for row in kinds])
     said = paragraph(
-        f"Of {counted(inputs)} inputs ({tried}) {failed if failed else 'none'} ended in anything but an "
-        f"answer, {counted(accepted)} of them, or a message. The slowest took {slowest:.2g} s of a core; "
-        f"the process held {results['memory_gib']:.2g} GiB at most."
+        f"{counted(inputs)} inputs ({tried}): {counted(accepted)} gave an answer, "
+        f"{failed if failed else 'none'} failed, the others ended with a message. The slowest took "
+        f"{slowest:.2g} s of a core; the process held {results['memory_gib']:.2g} GiB at most."
     )
     commands = dict.fromkeys(row["command"] for row in results["signals"])
     signals = []
@@ -402,10 +402,10 @@ def sections(results: Results) -> dict[str, str]:
         of = [row for row in results["signals"] if row["signal"] == name]
         signals.append(f"{name} {_seen(of, 'status')}, {_seen(of, 'left')}")
     sent = (
-        f"Each signal to each of {len(commands)} commands, exit status and temporary files left: "
+        f"Exit status and temporary files left, each signal sent to each of {len(commands)} commands: "
         f"{'; '.join(signals)}. "
-        f"The next command ended with {_seen(results['signals'], 'next_status')} and left "
-        f"{_seen(results['signals'], 'left_after_the_next')}."
+        f"The next command ended with status {_seen(results['signals'], 'next_status')} and left "
+        f"{_seen(results['signals'], 'left_after_the_next')} files."
     )
     return {"inputs": said, "signals": paragraph(sent)}
 
@@ -435,7 +435,7 @@ def show(results: Results) -> None:
 
 
 def main() -> None:
-    """Run, show, save and write the page."""
+    """Run the study, show and save the results, and write the page."""
     parser = study_parser(__doc__)
     parser.add_argument("--minutes", type=float, default=10.0, help="time for the inputs (default: 10)")
     parser.add_argument("--inputs", type=int, default=INPUTS, help=f"of a kind at most (default: {INPUTS})")

@@ -42,7 +42,7 @@ IN_PLANE = 110
 
 
 class Case(NamedTuple):
-    """A sandwich.
+    """A sandwich plate.
 
     face : thickness of a face over that of the plate
     ratio : Young's modulus of the faces over the shear modulus of the core
@@ -55,7 +55,7 @@ class Case(NamedTuple):
 
     @property
     def name(self) -> str:
-        """As it stands in the results."""
+        """Name of the case in the results."""
         return f"h {self.thickness_mm:g} mm, faces {self.face:g} h, E/G {self.ratio:g}, {self.edges}"
 
 
@@ -98,7 +98,7 @@ def specimen_of(case: Case) -> Specimen:
 
 
 def measured(case: Case, n_modes: int, in_plane: int) -> Results:
-    """The row of one sandwich; in_plane : elements in the plane of the finer mesh."""
+    """Results row of one sandwich; in_plane : elements in the plane of the finer mesh."""
     specimen = specimen_of(case)
     constants = reference_constants(specimen)
     ritz = cb.forward(specimen, n_modes).frequencies
@@ -124,7 +124,7 @@ def measured(case: Case, n_modes: int, in_plane: int) -> Results:
 
 
 def run(quick: bool) -> Results:
-    """All sandwiches, or a coarse one."""
+    """Results for all sandwiches; quick: a coarse one."""
     if quick:
         return {"quick": True, "cases": [measured(Case(10.0, 0.1, 1000.0, "FFFF"), 3, 36)]}
     rows = []
@@ -135,7 +135,7 @@ def run(quick: bool) -> Results:
 
 
 def print_row(row: Results) -> None:
-    """The worst mode of a sandwich on a line."""
+    """Print the worst mode of a sandwich."""
     print(
         f"{row['case']}: too low by {worst(row, 'too_low_percent'):.2f} %, expected "
         f"{worst(row, 'expected_percent'):.2f} %, bricks within {worst(row, 'bricks_error_percent'):.2f} %",
@@ -144,12 +144,12 @@ def print_row(row: Results) -> None:
 
 
 def worst(row: Results, key: str) -> float:
-    """The largest over the modes of a sandwich."""
+    """The largest value over the modes of a sandwich."""
     return float(max(mode[key] for mode in row["modes"]))
 
 
 def sections(results: Results) -> dict[str, str]:
-    """How far the expected error holds, for docs/hybrids.md."""
+    """Section of docs/hybrids.md on how far the expected error holds."""
     return {"agreement": _agreement(results)}
 
 
@@ -162,10 +162,10 @@ def _agreement(results: Results) -> str:
     calm = [m for m in modes if m["expected_percent"] < 0.5]
     most = max(m["too_low_percent"] for m in calm)
     return paragraph(
-        f"Measured against bricks on {len(results['cases'])} sandwiches (`python studies/22_sandwiches.py`): "
-        f"where e is below 0.5 % the theory is too low by {most:.2f} % at most; where e is 0.5 to "
-        f"{100.0 * LIMIT:g} %, by {low:.2f} to {high:.2f} times e; where e is larger, by {least:.1f} % or "
-        "more, and e is mostly too large."
+        f"Against bricks on {len(results['cases'])} sandwiches (`python studies/22_sandwiches.py`), "
+        f"frequencies are too low by at most {most:.2f} % where e is below 0.5 %; by {low:.2f} to {high:.2f} "
+        f"times e where e is 0.5 to {100.0 * LIMIT:g} %; and by {least:.1f} % or more where e is larger, "
+        "mostly by less than e."
     )
 
 

@@ -2,14 +2,13 @@
 
 python studies/23_growth.py [--quick] [--only NAME ...] [--most S]
 
-Costs are the processor's seconds of one process that has no model at hand, so that other work on the machine
-counts little. A curve has an exponent p by least squares of log cost over log size, cost ~ size^p. The plate
-is a free cross-ply, its lists those of the plate model with 0.2 % of noise. Curves of the forward solver are
-from study 03, and those of stacking sequences by their number from study 08, in seconds of two cores. A curve
-ends where the next size is expected to take more than S seconds. Of batches on a Dask cluster the processor's
-seconds of the busiest worker count, as if each had a core to itself, and those of the process that hands out
-the plates. Every curve is saved as soon as it is done, and those that were saved before and are not named are
-kept.
+Costs are the CPU seconds of one process without a stored model, so that other work on the machine counts
+little. A curve has an exponent p by least squares of log cost over log size, cost ~ size^p. The plate is a
+free cross-ply, its lists come from the plate model with 0.2 % of noise. Curves of the forward solver are from
+study 03, and those of stacking sequences by their number from study 08, in seconds of two cores. A curve
+ends where the next size is expected to take more than S seconds. For batches on a Dask cluster the cost is
+the CPU seconds of the busiest worker, as if each had a core to itself, and those of the process that hands
+out the plates. Every curve is saved as soon as it is done, and saved curves that are not named are kept.
 """
 
 from __future__ import annotations
@@ -59,7 +58,7 @@ SIZES = {"thickness_mm": 0.02, "density_kg_m3": 8.0, "length_mm": 0.3, "width_mm
 LAYUP = "[(0/90)_8]_s"
 NOISE = 0.002
 TWO_ANGLES, GRID_DEG = "[(?/?)_8]_s", 15.0
-# What a plate without clamps may have.
+# Effects of a plate without clamps.
 OF_FREE_PLATES = tuple(effect for effect in CATALOGUE if "clamp" not in effect.name)
 # Relative scatter of the constants from plate to plate.
 SCATTER = 0.02
@@ -67,7 +66,7 @@ THOUSAND, WORKERS = 1000, (1, 2, 4, 8)
 
 
 class Curve(NamedTuple):
-    """A question by a size; ``call`` : from the size to what is timed, the plates made before."""
+    """Cost of a question against a size; ``call`` : makes the plates of a size, returns the timed call."""
 
     question: str
     size: str
@@ -76,7 +75,7 @@ class Curve(NamedTuple):
 
     @property
     def name(self) -> str:
-        """As it stands in the results."""
+        """Name of the curve in the results."""
         return f"{self.question}, {self.size}"
 
 
@@ -92,7 +91,7 @@ def plate(
     seed: int = SEED,
     scatter: float = 0.0,
 ) -> Plate:
-    """The cross-ply with a list of its own; unknown angles are 0 and 90 in turn.
+    """The cross-ply with a list of its own; its unknown angles are 0 and 90 in turn.
 
     parameters : constants first, then sizes with a standard deviation
     """
@@ -124,12 +123,12 @@ def plate(
 
 
 def plates(n: int) -> list[Plate]:
-    """Plates of one material, whose constants scatter."""
+    """Plates of one material with scattered constants."""
     return [plate(seed=SEED + i, scatter=SCATTER) for i in range(n)]
 
 
 def cross_ply(plies: int) -> str:
-    """The layup with so many plies."""
+    """Layup with this number of plies."""
     return f"[(0/90)_{plies // 4}]_s"
 
 
@@ -137,33 +136,33 @@ def cross_ply(plies: int) -> str:
 
 
 def swarm(given: Plate) -> Call:
-    """The constants by swarm."""
+    """Call that identifies the constants by swarm."""
     return lambda: cb.identify(given, seed=SEED)
 
 
 def posterior(given: Plate) -> Call:
-    """The posterior by emcee."""
+    """Call that samples the posterior with emcee."""
     return lambda: cb.sample(given, seed=SEED)
 
 
 def diagnosis(*given: Plate, causes: int | None = None) -> Call:
-    """The first so many causes or all, with their gain and the sizes that would have shown."""
+    """Call that diagnoses with the first ``causes`` effects, or all, with gain and detection limits."""
     return lambda: cb.diagnose(*given, seed=SEED, catalogue=OF_FREE_PLATES[:causes])
 
 
 def stacking(given: Plate) -> Call:
-    """The probability of every stacking sequence, without the draws that follow."""
+    """Call that computes the probability of every stacking sequence, without the draws that follow."""
     specimen = cb.read_plate(given)
     return lambda: stacking_posterior(specimen, SEED)
 
 
 def two_angles(layup: str = TWO_ANGLES, **changed: int) -> Plate:
-    """The cross-ply with two unknown angles, each many times in its layup."""
+    """The cross-ply with two unknown angles, each repeated in its layup."""
     return plate(layup, grid=GRID_DEG, **changed)
 
 
 def batch(n: int, hierarchical: bool = False) -> Call:
-    """The constants of many plates."""
+    """Call that identifies the constants of n plates in a batch."""
     given = plates(n)
     return lambda: cb.batch(*given, seed=SEED, hierarchical=hierarchical)
 
@@ -177,7 +176,7 @@ FULL, REDUCED, BUILDING = "full solve", "reduced solve", "building the reduced m
 
 
 def curves(quick: bool) -> list[Curve]:
-    """All that are measured here; quick: one of each kind of call, tiny."""
+    """All curves measured here; quick: one of each kind of call, tiny."""
     if quick:
         return [
             Curve(IDENTIFY, MODES, (4, 5), lambda n: swarm(plate(modes=n))),
@@ -206,7 +205,7 @@ def curves(quick: bool) -> list[Curve]:
 
 
 def saved_curves() -> list[Results]:
-    """Curves from what studies 03 and 08 saved."""
+    """Curves from the saved results of studies 03 and 08."""
     solver, found = saved_results(SOLVER), []
     for question, keys in (
         (FULL, ("full_s",)),
@@ -224,7 +223,7 @@ def saved_curves() -> list[Results]:
 
 
 def row(question: str, size: str, points: Sequence[tuple[int, float]], source: str = "") -> Results:
-    """A curve with its exponent: the slope of log cost over log size, and its standard error."""
+    """A curve with its exponent (the slope of log cost over log size) and its standard error."""
     x, y = (np.log(np.array(column, dtype=float)) for column in zip(*points, strict=True))
     offset = x - x.mean()
     slope, error = float(offset @ y / (offset @ offset)), None
@@ -246,7 +245,7 @@ def row(question: str, size: str, points: Sequence[tuple[int, float]], source: s
 
 
 def measured(curve: Curve, most: float) -> Results:
-    """The processor's seconds of two sizes and of more, until one is expected to take more than ``most``."""
+    """CPU seconds of two sizes or more, until the next is expected to take more than ``most``."""
     points: list[tuple[int, float]] = []
     for size in curve.sizes:
         if len(points) > 1 and _expected(points, size) > most:
@@ -261,14 +260,14 @@ def measured(curve: Curve, most: float) -> Results:
 
 
 def _expected(points: Sequence[tuple[int, float]], size: int) -> float:
-    """The cost of a further size by the slope of the last two."""
+    """Cost of a further size, extrapolated by the slope of the last two points."""
     (before, less), (last, cost) = points[-2:]
     slope = float(np.log(cost / less) / np.log(last / before))
     return cost * float(size / last) ** slope
 
 
 def on_cluster(n: int, workers: int) -> Results:
-    """A batch of n plates on a Dask cluster of this machine that has just started."""
+    """Cost of a batch of n plates on a freshly started Dask cluster of this machine."""
     from distributed import Client, LocalCluster
 
     given = plates(n)
@@ -298,7 +297,7 @@ def on_cluster(n: int, workers: int) -> Results:
 
 
 CLUSTER = tuple((n, workers) for n in (2, 8) for workers in (1, 2))
-# Seconds of a processor that a point may be expected to take.
+# Longest expected CPU time of a point, s.
 MOST_S = 60.0
 NAMES = (*(curve.name for curve in curves(quick=False)), "cluster")
 
@@ -309,9 +308,9 @@ def run(
     most: float = MOST_S,
     keep: Callable[[Results], None] = lambda results: None,
 ) -> Results:
-    """All curves, or those that are named; quick: two short ones, and a cluster of one worker."""
+    """Results for all curves, or those named; quick: two short ones, and a cluster of one worker."""
     results: Results = {"quick": quick, "curves": saved_curves(), "cluster": []}
-    # what is loaded when it is first used is no cost of a size
+    # libraries that load at first use are not part of the cost
     swarm(plate(modes=4))()
     if any(EMCEE in name or HIERARCHICAL in name for name in only or NAMES) and not quick:
         posterior(plate(modes=4))()
@@ -329,7 +328,7 @@ def run(
 
 
 def model_of(cluster: Sequence[Results]) -> tuple[float, float, float]:
-    """The line t = a + b n / N through batches on a cluster, by relative squares: a, b, its worst error."""
+    """Fit t = a + b n / N to batches on a cluster by relative least squares: a, b, largest relative error."""
     share = np.array([r["plates"] / r["workers"] for r in cluster])
     seconds = np.array([r["here_s"] + r["busiest_worker_s"] for r in cluster])
     design = np.stack([np.ones_like(share), share], axis=1) / seconds[:, None]
@@ -342,7 +341,7 @@ def model_of(cluster: Sequence[Results]) -> tuple[float, float, float]:
 
 
 def sections(results: Results) -> dict[str, str]:
-    """The cost of a thousand plates, for docs/speed.md."""
+    """Section of docs/speed.md on the cost of a thousand plates."""
     return {"thousand": _thousand(results["cluster"])}
 
 
@@ -363,7 +362,7 @@ def _short(seconds: float) -> str:
 
 
 def _unreached(curve: Results) -> str:
-    """Larger sizes that were not run, and what the first of them is expected to take."""
+    """Larger sizes that were not run, and the expected cost of the first of them."""
     points = [(p["size"], p["seconds"]) for p in curve["points"]]
     asked = [n for c in curves(quick=False) if c.name == curve["case"] for n in c.sizes]
     left = [n for n in asked if n > points[-1][0]]
@@ -378,10 +377,10 @@ def _thousand(cluster: Sequence[Results]) -> str:
     own = max(r["here_s"] / r["plates"] for r in cluster if r["plates"] == max(numbers))
     text = (
         f"Batches of {numbers[0]} to {numbers[-1]} plates on {listed([str(n) for n in workers])} workers of "
-        "a new Dask cluster, as if each had a core to itself (processor's seconds): t = a + b n / N for n "
+        "a new Dask cluster, as if each had its own core (processor seconds), follow t = a + b n / N for n "
         f"plates on N workers, a = {a:.1f} s, b = {b:.1f} s, within {100 * worst:.0f} %. More than "
         f"{workers[-1]} workers and the network were not measured; more than about {b / own:.0f} would wait "
-        f"for the process that hands out plates. {counted(THOUSAND)} plates by the model:"
+        f"for the process that hands out plates. {counted(THOUSAND)} plates would take"
     )
     able = [n for n in WORKERS if n < b / own]
     minutes = listed([f"{(a + b * THOUSAND / n) / 60.0:.0f}" for n in able])

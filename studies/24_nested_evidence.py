@@ -2,10 +2,9 @@
 
 python studies/24_nested_evidence.py [--quick] [--cases N] [--minutes M]
 
-The lists are drawn from the models themselves (`validation/evidence_lists.py`). What the importance sampler
-says of hypotheses near the best is compared with static nested sampling (dynesty, the extra `audit`), which
-shares the density alone with it.
-Runs go on from the saved cases, --minutes ends one early.
+The lists are drawn from the models themselves (`validation/evidence_lists.py`). Evidences from the importance
+sampler, for hypotheses near the best, are compared with static nested sampling (dynesty, the extra `audit`),
+which shares only the density with it. A run continues from the saved cases; --minutes ends it early.
 """
 
 from __future__ import annotations
@@ -38,12 +37,12 @@ KEYS = {
 
 CASES, QUICK_CASES = 60, 1
 LIVE_POINTS, QUICK_LIVE_POINTS = 200, 30
-# Hypotheses this far below the best are not compared, and how far both ways may be apart beyond their errors.
+# Hypotheses this far below the best are not compared; allowed difference beyond the errors of both.
 NEAR_NATS, AGREED_NATS = 8.0, 0.1
 
 
 def weighed_list(number: int) -> tuple[Results, list[Tested]]:
-    """One list with none, what is hidden and another cause, as the diagnosis weighs them."""
+    """Weigh none, the hidden cause and one other for a list, as the diagnosis does."""
     rng, of_list, case, hidden = listed(number)
     singles = [h for h, _ in hypotheses_of([case])]
     others = [h for h in singles if h.cause not in (NONE, hidden.cause)]
@@ -52,7 +51,7 @@ def weighed_list(number: int) -> tuple[Results, list[Tested]]:
 
 
 def run_case(number: int, *, quick: bool) -> Results:
-    """One list, its hypotheses near the best weighed both ways."""
+    """Compare both methods on one list, for its hypotheses near the best."""
     what, tested = weighed_list(number)
     best = max(t.marginal.log_evidence for t in tested)
     rows, begin = [], time.process_time()
@@ -78,7 +77,7 @@ def run_case(number: int, *, quick: bool) -> Results:
 
 
 def summary(cases: list[Results]) -> Results:
-    """How far both ways differ, in nats and in standard errors of both."""
+    """Differences of the two methods, in nats and in standard errors of both."""
     rows = [row for case in cases for row in case["hypotheses"]]
     difference = np.array([row["importance"] - row["nested"] for row in rows])
     error = np.array([np.hypot(row["importance_error"], row["nested_error"]) for row in rows])
@@ -96,7 +95,7 @@ def summary(cases: list[Results]) -> Results:
 
 
 def run(quick: bool, cases: int = CASES, minutes: float = np.inf, path: Path | None = None) -> Results:
-    """The cases that are saved at a path and those that are not, saved one by one."""
+    """Results of the cases saved at a path and of the missing ones, saved one by one."""
     numbers = range(QUICK_CASES if quick else cases)
     return case_by_case(
         numbers,
@@ -108,19 +107,19 @@ def run(quick: bool, cases: int = CASES, minutes: float = np.inf, path: Path | N
 
 
 def as_results(rows: list[Results], *, quick: bool) -> Results:
-    """What is saved of cases by their numbers."""
+    """Results of the cases, in the form that is saved."""
     points = QUICK_LIVE_POINTS if quick else LIVE_POINTS
     return {"quick": quick, "live_points": points, "summary": summary(rows), "cases": rows}
 
 
 def sections(results: Results) -> dict[str, str]:
-    """What docs/theory.md says of evidences."""
+    """Section of docs/theory.md on evidences."""
     of = summary(results["cases"])
     return {
         "agreement": paragraph(
-            f"Of {of['compared']} evidences of hypotheses near the best of {of['cases']} simulated lists "
-            f"{of['agreed']} are those of nested sampling ({results['live_points']} live points) to "
-            f"{AGREED_NATS:g} nats and two standard errors of both; mean difference "
+            f"{of['agreed']} of {of['compared']} evidences, of hypotheses near the best on {of['cases']} "
+            f"simulated lists, agree with nested sampling ({results['live_points']} live points) to "
+            f"{AGREED_NATS:g} nats plus two standard errors of the difference; mean difference "
             f"{of['mean_difference']:+.3f} ± {of['error_of_mean']:.3f}, largest "
             f"{of['largest_difference']:.2f} nats."
         )

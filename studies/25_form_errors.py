@@ -2,11 +2,11 @@
 
 python studies/25_form_errors.py [--quick]
 
-A clamp lets go abruptly, an accelerometer has a footprint and a cable, foam stands in a few places: the plate
-is solved with such forms on elements that are independent of the package, and their shifts of ln f are fitted
-by the catalogue's effect, by least squares in its size, place and direction within its priors. kappa is the
-root mean square over the modes of what is left, over that of the shift: once with the constants held, once
-with the constants free to imitate what they can.
+A clamp lets go abruptly, an accelerometer has a footprint and a cable, foam supports are small: plates with
+such forms are solved on elements that are independent of the package, and their shifts of ln f are fitted by
+the catalogue's effect, by least squares in its size, place and direction within its priors. kappa is the rms
+residual over the modes, relative to that of the shift: once with the constants fixed, once with the constants
+free to imitate what they can.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ KEYS = {
 }
 
 N_MODES = 10
-# Relative noise of the lists, which sets how exact the catalogue's models are.
+# Relative noise of the lists, which determines the accuracy of the catalogue's models.
 NOISE = 5e-4
-# Sizes in standard deviations of the catalogue that fits begin from, and how many of the best go on.
+# Initial sizes of the fits, in the catalogue's standard deviations, and number of the best continued.
 STARTS, GO_ON = (0.3, 1.0, 3.0), 2
 # Fractions of the range of an extent, a radius of gyration or a direction.
 FRACTIONS = (0.15, 0.5, 0.85)
@@ -88,7 +88,7 @@ PLATES = (
 
 
 def run(quick: bool) -> Results:
-    """All forms on all plates, or two quick ones on one."""
+    """Results for all forms on all plates; quick: two fast ones on one plate."""
     cases = []
     for nominal in PLATES[:1] if quick else PLATES:
         on = bench(nominal.plate, N_MODES)
@@ -129,7 +129,7 @@ def _of_effect(plate: str, on: Bench, case: PlateCase, effect: Effect) -> list[R
 def _left(
     case: PlateCase, effect: Effect, model: ForwardModel, shift: Array, place: Place
 ) -> tuple[float, float]:
-    """Rms of a shift less the catalogue's best one, constants held and free."""
+    """Rms residual of a shift after the catalogue's best fit, with the constants fixed and free."""
     x = reference_vector(case.models.specimen, case.models.parameters)
     starts = _starts(effect, place)
     null = starts[0].copy()
@@ -150,7 +150,7 @@ def _left(
         return np.log(found.frequencies[0, :N_MODES]) - target, slope
 
     def fitted(start: Array, counted: Array) -> Any:
-        """counted : matrix (n_modes, n_modes) that takes from a shift what does not count"""
+        """counted : matrix (n_modes, n_modes) that removes from a shift what does not count"""
         return least_squares(
             lambda v: counted @ at(tuple(v))[0],
             start,
@@ -167,7 +167,7 @@ def _left(
 
 
 def _starts(effect: Effect, place: Place) -> Array:
-    """Values of an effect's parameters to begin a fit from, sizes first, within their priors."""
+    """Starting values of an effect's parameters, sizes first, within their priors."""
     at = [
         [s * sd * p.prior.typical for s in STARTS for sd in ((1.0, -1.0) if p.prior.lower < 0.0 else (1.0,))]
         for p in effect.sizes
@@ -181,7 +181,7 @@ def _starts(effect: Effect, place: Place) -> Array:
 
 
 def _beyond_constants(case: PlateCase) -> Array:
-    """Takes from a shift what changes of the constants, of any size, imitate."""
+    """Projector that removes from a shift the part that changes of the constants, of any size, imitate."""
     x = reference_vector(case.models.specimen, case.models.parameters)
     found = case.models.bare.predict(x[None], jacobian=True)
     assert found.jacobian is not None

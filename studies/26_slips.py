@@ -2,10 +2,10 @@
 
 python studies/26_slips.py [--quick] [--minutes M] [--development]
 
-Plates are drawn; their lists are of elements that are independent of the package, with 0.2 % of noise. Ten
-slips of 20 plates each: what the file states of the plate or of the list is wrong in one place. Beside them
-100 plates without a slip and 100 with a real cause, where none is to be named. A slip that leaves the wrong
-file a fit within the noise cannot be seen in its list; such files are counted apart.
+Plates are drawn; their lists come from elements that are independent of the package, with 0.2 % of noise. Ten
+kinds of slip, 20 plates each: the file is wrong in one place about the plate or the list. Beside them 100
+plates without a slip and 100 with a real cause, for which none is to be named. A slip with which the wrong
+file still fits within the noise cannot be seen in its list; such files are counted separately.
 
 `--development` draws other plates, prints each file and saves nothing.
 """
@@ -41,11 +41,11 @@ KEYS = {
 }
 
 NOISE = 0.002
-# Plates of each slip, without one, and of each real cause.
+# Numbers of plates of each slip, without one, and of each real cause.
 PLATES, CLEAN, EACH_CAUSE = 20, 100, 20
-# Seeds of the plates that are reported and of those that the mechanism was mended on.
+# Seeds of the plates that are reported and of those on which the method was developed.
 REPORTED, DEVELOPMENT = 27, 2600
-# What a file may end in.
+# Possible outcomes of a file.
 RIGHT, OTHER, NONE, UNSEEN, REFUSED = OUTCOMES = (
     "right",
     "another slip",
@@ -70,9 +70,9 @@ EDGES = ("FFFF", "CFFF", "CFCF", "FFFF", "SSSS", "CSFF")
 
 
 class Stated(NamedTuple):
-    """A plate as it is, and what its file says.
+    """The true plate, and its file.
 
-    truth : what is wrong, as `Slip` names it, with the number of the mode or frequency, 0 for the plate
+    truth : the error as `Slip` names it, with the number of the mode or frequency, 0 for the plate
     """
 
     true: TruePlate
@@ -81,7 +81,7 @@ class Stated(NamedTuple):
 
 
 def drawn(rng: np.random.Generator, edges: tuple[str, ...] = EDGES, plies: bool = False) -> TruePlate:
-    """A plate; edges : that it may have; plies : of a material with directions."""
+    """A random plate; edges : to choose from; plies : only of an orthotropic material."""
     kind = str(
         rng.choice(["carbon", "carbon", "glass"] if plies else ["carbon", "carbon", "glass", "aluminium"])
     )
@@ -100,7 +100,7 @@ def drawn(rng: np.random.Generator, edges: tuple[str, ...] = EDGES, plies: bool 
 
 
 def file_of(plate: TruePlate, f: Array, rng: np.random.Generator) -> dict[str, Any]:
-    """The plate file of a list (n,) Hz; half of them state the repeatability, half [material.sd]."""
+    """Plate file of a list (n,) Hz; half of the files state the repeatability, half [material.sd]."""
     kind = min(DENSITY, key=lambda k: abs(DENSITY[k] - plate.density))
     shown = {n: f"{n}_GPa" if n != "nu12" else n for n in CONSTANTS[kind]}
     unit = {n: 1e9 if n != "nu12" else 1.0 for n in shown}
@@ -137,7 +137,7 @@ def measured(plate: TruePlate, n: int, rng: np.random.Generator) -> Array:
 def _restated(
     change: Callable[[dict[str, Any]], None], kind: str, **how: Any
 ) -> Callable[[np.random.Generator], Stated]:
-    """A slip of the table [plate]."""
+    """Maker of files with a slip in the table [plate]."""
 
     def made(rng: np.random.Generator) -> Stated:
         plate = drawn(rng, **how)
@@ -176,7 +176,7 @@ def _set_clamped(plate: dict[str, Any]) -> None:
 def _relisted(
     change: Callable[[Array, np.random.Generator], tuple[Array, int]], kind: str
 ) -> Callable[[np.random.Generator], Stated]:
-    """A slip of the list."""
+    """Maker of files with a slip in the list."""
 
     def made(rng: np.random.Generator) -> Stated:
         plate = drawn(rng)
@@ -197,7 +197,7 @@ def _false(f: Array, rng: np.random.Generator) -> tuple[Array, int]:
 
 
 def _misread(f: Array, rng: np.random.Generator) -> tuple[Array, int]:
-    """Two unlike digits among the first three exchanged."""
+    """Exchange two different digits among the first three of a frequency."""
     while True:
         i = int(rng.integers(len(f)))
         digits = f"{f[i]:.5e}".replace(".", "")
@@ -242,7 +242,7 @@ def _hole(p: TruePlate, rng: np.random.Generator) -> TruePlate:
     return replace(p, patches=(Patch("ellipse", x, y, half, half, rng.uniform(0.4, 0.95)),))
 
 
-# Kinds that came after the others were counted.
+# Kinds that were added after the others had been counted.
 LATER = ("clamped", "free")
 
 
@@ -278,14 +278,14 @@ KINDS: Mapping[str, Callable[[np.random.Generator], Stated]] = {
 
 
 def plan() -> tuple[str, ...]:
-    """What is wrong with each file; the kinds take turns, the later ones behind so that numbers stay."""
+    """Kind of each file; the kinds take turns, the later ones at the end so that numbers stay."""
     each = dict.fromkeys(SLIPS, PLATES) | {"clean": CLEAN} | dict.fromkeys(CAUSES, EACH_CAUSE)
     order = [(name in LATER, (i + 0.5) / n, name) for name, n in each.items() for i in range(n)]
     return tuple(name for *_, name in sorted(order))
 
 
 def case(number: int, seed: int = REPORTED) -> Results:
-    """One file and what `identify` says of it."""
+    """One file and the answer of `identify`."""
     name, start = plan()[number], time.perf_counter()
     stated = KINDS[name](np.random.default_rng([seed, number]))
     found = {
@@ -312,12 +312,12 @@ def case(number: int, seed: int = REPORTED) -> Results:
 
 
 def said(found: Results) -> str:
-    """What was named, as a count has it."""
+    """Outcome of a file."""
     if "refused" in found:
         return REFUSED
     if found["named"]:
         named, truth = [tuple(slip) for slip in found["named"]], tuple(found["truth"])
-        # one spectrum of a plate whose edges are all alike, and one name for both
+        # a plate with four equal edges has one spectrum for both, and they share one name
         if truth == ("layup", 0) and len(set(found["edges"])) == 1:
             truth = ("sides", 0)
         return RIGHT if truth in named else OTHER
@@ -336,7 +336,7 @@ def results_of(cases: list[Results], quick: bool) -> Results:
 
 
 def run(quick: bool, minutes: float = float("inf")) -> Results:
-    """The files that are not saved yet; the small version has two."""
+    """Results of all files, those not yet saved being computed; quick: two files."""
     if quick:
         return results_of([case(plan().index(name)) for name in ("decimal", "clean")], quick)
     return case_by_case(
@@ -345,7 +345,7 @@ def run(quick: bool, minutes: float = float("inf")) -> Results:
 
 
 def sections(results: Results) -> dict[str, str]:
-    """How often a slip is named, as a paragraph of a page."""
+    """Paragraph of a page on how often a slip is named."""
     counts = {row["kind"]: row for row in results["counts"]}
     slips = [kind for kind in SLIPS if kind in counts]
     right, other, none, unseen, refused = (sum(counts[k][what] for k in slips) for what in OUTCOMES)
@@ -354,8 +354,8 @@ def sections(results: Results) -> dict[str, str]:
         sum(counts[k][what] for k in free for what in outcomes) for outcomes in (OUTCOMES, (OTHER,))
     )
     said = (
-        f"Of {right + other + none + unseen + refused} drawn files with one of {len(slips)} slips "
-        f"{right} had it named, {other} another one, {none + refused} none; {unseen} fitted to within the "
+        f"Of {right + other + none + unseen + refused} simulated files with one of {len(slips)} slips each, "
+        f"{right} had it named, {other} another one and {none + refused} none; {unseen} fitted to within the "
         f"noise. Of {files} files without a slip, half of them with a real cause such as a taper, "
         f"{wrong} had one named."
     )

@@ -4,9 +4,9 @@ python studies/27_coins.py [--quick] [--minutes M] [--development]
 
 Forty plates of elements that are independent of the package, each with one to five further lists with a coin
 and one without. Frequencies carry noise of 0.05 to 0.5 %, which half of the files state; thickness, mass and
-constants are not quite as stated. A coin is a disc of 0.5 to 8 % of the plate, 2 mm of steel thick: its mass
-is spread over a footprint and has a rotary inertia. Ten more plates, with one to three coins, are
-three-dimensional bricks that CalculiX computes; without its program `ccx` they are left out.
+constants differ slightly from the stated ones. A coin is a disc of 0.5 to 8 % of the plate's mass, 2 mm of
+steel thick: its mass is spread over a footprint and has a rotary inertia. Ten more plates, with one to three
+coins, are three-dimensional bricks computed by CalculiX; they are left out if its program `ccx` is missing.
 
 `--development` draws other plates, prints each and saves nothing.
 """
@@ -47,19 +47,19 @@ KEYS = {
 }
 
 PLATES, MOST_COINS = 40, 5
-# The numbers of plates of bricks begin here.
+# First number of the brick plates.
 BRICKS, BRICK_PLATES, MOST_ON_BRICKS = 100, 10, 3
 # Elements in the plane; lines through the points of all coins are added to the mesh of every list.
 IN_PLANE, NOTHING = 160, 1e-12
-# Seeds of the plates that are reported and of those that were looked at before.
+# Seeds of the plates that are reported and of those inspected before.
 REPORTED, DEVELOPMENT = 31, 2700
 NOISES = (5e-4, 5e-3)
-# Of the plate's mass.
+# Range of a coin's mass over the plate's.
 MASSES = (0.005, 0.08)
-# What a laboratory weighs, gauges and believes, relative standard deviations.
+# Relative standard deviations of a laboratory's weighed mass, gauged thickness and assumed constants.
 WEIGHED, GAUGED, BELIEVED = 1e-3, 5e-3, 0.05
-# Mass of a coin over its area, kg/m2. Where its mass is put along each axis, over the radius, and how much of
-# it: with the second moment of a disc.
+# Mass of a coin over its area, kg/m2. Offsets of its point masses along each axis, over the radius, and their
+# shares of the mass: with the second moment of a disc.
 AREAL = 16.0
 POINTS = ((-0.75, 2.0 / 9.0), (0.0, 5.0 / 9.0), (0.75, 2.0 / 9.0))
 NEAR_MM = 10.0
@@ -88,7 +88,7 @@ def stated_plate(rng: np.random.Generator, edges: tuple[str, ...] = EDGES) -> di
 
 
 def true_plate(stated: dict[str, Any], rng: np.random.Generator) -> TruePlate:
-    """The plate as it is."""
+    """The true plate."""
     plate, material = stated["plate"], read_plate(stated).material.constants
     sizes = {key: 1e-3 * plate[f"{key}_mm"] for key in ("length", "width", "thickness")}
     sizes["thickness"] *= float(np.exp(GAUGED * rng.standard_normal()))
@@ -103,7 +103,7 @@ def true_plate(stated: dict[str, Any], rng: np.random.Generator) -> TruePlate:
 
 
 def coin(mass: float, x: float, y: float, sides: Array) -> tuple[Mass, ...]:
-    """A disc about a place, as far as it lies on the plate: kg, m."""
+    """Point masses, kg, of a disc about a place, m, moved so that they lie on the plate."""
     radius = float(np.sqrt(mass / (np.pi * AREAL)))
     reach = 0.75 * radius
     x, y = np.clip((x, y), reach, sides - reach)
@@ -115,12 +115,12 @@ def coin(mass: float, x: float, y: float, sides: Array) -> tuple[Mass, ...]:
 
 
 def of_elements(true: TruePlate, coins: list[tuple[Mass, ...]], n_modes: int) -> list[Array]:
-    """The list without a coin, and one for each, Hz."""
+    """Frequencies without a coin, and with each, Hz."""
     return [natural_frequencies(replace(true, masses=on), n_modes) for on in ((), *coins)]
 
 
 def of_bricks(true: TruePlate, coins: list[tuple[Mass, ...]], n_modes: int) -> list[Array]:
-    """The same of three-dimensional bricks; on one mesh, so that its error is that of all lists."""
+    """Frequencies of bricks without a coin, and with each, Hz; on one mesh, so that they share its error."""
     plate = {f"{key}_mm": 1e3 * getattr(true, key) for key in ("length", "width", "thickness")}
     layup = f"[{'/'.join(f'{a:g}' for a in true.angles_deg)}]"
     plate |= {"density_kg_m3": true.density, "layup": layup, "edges": true.edges}
@@ -138,7 +138,7 @@ def of_bricks(true: TruePlate, coins: list[tuple[Mass, ...]], n_modes: int) -> l
 
 
 def case(number: int, seed: int = REPORTED) -> Results:
-    """One plate, its lists, and what `prove` says of them."""
+    """One plate, its lists, and the findings of `prove`."""
     start, rng = time.perf_counter(), np.random.default_rng([seed, number])
     on_bricks = number >= BRICKS
     stated = stated_plate(rng, tuple(e for e in EDGES if "S" not in e) if on_bricks else EDGES)
@@ -147,7 +147,7 @@ def case(number: int, seed: int = REPORTED) -> Results:
     n_coins = int(rng.integers(1, (MOST_ON_BRICKS if on_bricks else MOST_COINS) + 1))
     noise = float(np.exp(rng.uniform(*np.log(NOISES))))
     sides = np.array([true.length, true.width])
-    # off clamps, where a coin moves nothing, and apart
+    # off clamps, where a coin has no effect, and well separated
     cells = np.stack([rng.permutation(n_coins) for _ in sides], axis=1)
     places = (cells + rng.uniform(0.2, 0.8, (n_coins, 2))) / n_coins * sides
     masses = true.total_mass * np.exp(rng.uniform(*np.log(MASSES), n_coins))
@@ -159,7 +159,7 @@ def case(number: int, seed: int = REPORTED) -> Results:
     known = bool(rng.random() < 0.5)
     if known:
         measurement["relative_std"] = float(f"{noise:.2g}")
-    # the middle of nine points in a row
+    # the middle of the nine points, row by row
     sealed = [(1e3 * m, 1e3 * on[4].x, 1e3 * on[4].y) for m, on in zip(masses.tolist(), coins, strict=True)]
     with tempfile.TemporaryDirectory() as folder:
         seal = Path(folder) / "seal.toml"
@@ -201,7 +201,7 @@ def _rounded(f: Array) -> list[float]:
 
 
 def group(coin: Results) -> str:
-    """Which group a list is of."""
+    """Group of a list: with a coin above or below the detection limit, or a repeat."""
     if not coin["sealed_g"]:
         return GROUPS[2]
     seen = coin["limit_g"] is not None and coin["sealed_g"] >= coin["limit_g"]
@@ -233,14 +233,14 @@ def results_of(cases: list[Results], quick: bool) -> Results:
 
 
 def run(quick: bool, minutes: float = float("inf")) -> Results:
-    """The plates that are not saved yet; the small version has one."""
+    """Results of all plates, those not yet saved being computed; quick: one plate."""
     if quick:
         return results_of([case(0, DEVELOPMENT)], quick)
     return case_by_case(numbers(), case, lambda c: results_of(c, False), minutes=minutes, path=RESULTS)
 
 
 def numbers() -> list[int]:
-    """Of the plates, those of bricks last."""
+    """Numbers of the plates, the brick plates last."""
     on_bricks = range(BRICKS, BRICKS + BRICK_PLATES) if shutil.which("ccx") else ()
     return [*range(PLATES), *on_bricks]
 
@@ -255,7 +255,7 @@ HEAD = (
     "mass inside",
     "place inside",
     "within 10 mm",
-    "of regions up to 10 mm",
+    "within 10 mm, small regions",
 )
 SAID = (Finding.ADDED, Finding.OPEN, Finding.NOTHING, Finding.OTHER)
 
@@ -285,12 +285,12 @@ def sections(results: Results) -> dict[str, str]:
     inside, shifts = (sum(c[key] for c in results["counts"]) for key in ("shifts_inside", "shifts"))
     plates = {solver: sum(c["solver"] == solver for c in results["cases"]) for solver in SOLVERS}
     said = (
-        f"{plates['elements']} plates of independent finite elements and {plates['bricks']} of "
-        "three-dimensional bricks, noise of 0.05 to 0.5 %, thickness, "
-        "mass and constants not quite as stated, coins of 0.5 to 8 % of the plate: "
-        f"{inside / max(shifts, 1):.3f} of {shifts} shifts lay in the 95 % intervals that the first list "
-        "predicts. Places are counted up to mirror images: inside the region that the answer gives, within "
-        f"{NEAR_MM:g} mm, and of those whose region is that small."
+        f"Coins of 0.5 to 8 % of the plate's mass were put on {plates['elements']} plates of independent "
+        f"finite elements and {plates['bricks']} of three-dimensional bricks, with noise of 0.05 to "
+        "0.5 % and with thickness, mass and constants slightly off the stated ones. "
+        f"{inside / max(shifts, 1):.3f} of {shifts} shifts lay in the 95 % intervals predicted from the "
+        "first list. Places count up to mirror images: inside the stated region; within "
+        f"{NEAR_MM:g} mm; the same where the region is that small."
     )
     return {"counts": f"{paragraph(said)}\n\n{markdown_table(HEAD, _rows(results))}"}
 

@@ -42,15 +42,15 @@ KEYS = {
 }
 
 BATCHES = 20
-# Seeds of the batches that are reported and of those that were looked at before.
+# Seeds of the batches that are reported and of those inspected before.
 REPORTED, DEVELOPMENT = 28, 2800
 N_MODES = 10
 NOISES = (1e-3, 3e-3)
 # Relative scatter of a constant from plate to plate, and of a gauged thickness about the true one.
 SCATTER, GAUGED = 0.015, 0.002
-# The limit on E1, over the mean of the batch; the standard deviation of E1 that a plate near it is placed by.
+# Limit on E1 relative to the batch mean; standard deviation of E1 by which near-limit plates are placed.
 LIMIT, OF_E1 = 0.92, 0.01
-# How far from the limit such a plate is at most, in these standard deviations.
+# Largest distance of such a plate from the limit, in these standard deviations.
 NEAR = 0.5
 VERDICTS = ("pass", "fail", "cannot be judged", "too close to call")
 RIGHT = {
@@ -61,12 +61,12 @@ RIGHT = {
 }
 PLATES = ("good",) * 8 + ("thin", "mass left on", "near the limit", "near the limit")
 
-# whose lists tell E1 to about 1 %
+# with lists that determine E1 to about 1 %
 HALVES = ((0.0, 90.0) * 2, (0.0,) * 4)
 
 
 def plates_of(rng: np.random.Generator, kinds: tuple[str, ...]) -> tuple[list[dict[str, Any]], str, float]:
-    """Plate files of a batch, its limit, and its noise."""
+    """Plate files of a batch, its limit and its noise."""
     reference, density = REFERENCES[str(rng.choice(list(REFERENCES)))]
     half = HALVES[int(rng.integers(len(HALVES)))]
     length = round(rng.uniform(0.2, 0.35), 3)
@@ -123,7 +123,7 @@ def _file_of(
 
 
 def case(number: int, seed: int = REPORTED, kinds: tuple[str, ...] = PLATES) -> Results:
-    """One batch and what `batch` says of each of its plates."""
+    """One batch and the verdict of `batch` on each of its plates."""
     start, rng = time.perf_counter(), np.random.default_rng([seed, number])
     kinds = tuple(kinds[i] for i in rng.permutation(len(kinds)))
     files, limit, noise = plates_of(rng, kinds)
@@ -148,32 +148,32 @@ def results_of(cases: list[Results], quick: bool) -> Results:
 
 
 def run(quick: bool, minutes: float = float("inf")) -> Results:
-    """The batches that are not saved yet; the small version has one of two plates."""
+    """Results of all batches, those not yet saved being computed; quick: one of two plates."""
     if quick:
         return results_of([case(0, DEVELOPMENT, ("good", "thin"))], quick)
     return case_by_case(range(BATCHES), case, lambda c: results_of(c, False), minutes=minutes, path=RESULTS)
 
 
 def called_by_noise() -> float:
-    """Probability that a plate near the limit passes or fails for sure, by a scatter as large as stated."""
+    """Probability that a plate near the limit gets a firm verdict, by a scatter as large as stated."""
     away = np.linspace(-NEAR, NEAR, 101)
     return float(np.mean(norm.sf(norm.ppf(SURE) - away) + norm.sf(norm.ppf(SURE) + away)))
 
 
 def whole_by_the_rule(batches: int) -> float:
-    """Expected number of batches whose verdicts are all right, where those far from the limit are."""
+    """Expected number of batches with all verdicts right, if those far from the limit are."""
     return batches * (1.0 - called_by_noise()) ** PLATES.count("near the limit")
 
 
 def sections(results: Results) -> dict[str, str]:
-    """The verdicts by kind of plate, as a table of a page."""
+    """Table of a page with the verdicts by kind of plate."""
     cases, rows = results["cases"], results["verdicts"]
     whole = sum(all(RIGHT[k] == v for k, v in zip(c["kinds"], c["verdicts"], strict=True)) for c in cases)
     said = (
-        f"{len(cases)} batches of twelve plates were drawn, their lists computed with other finite elements "
-        f"than the package's and given noise of 0.1 to 0.3 %. All twelve verdicts were right in {whole} "
+        f"{len(cases)} batches of twelve plates were simulated with independent finite elements, plus noise "
+        f"of 0.1 to 0.3 %. All twelve verdicts were right in {whole} batches "
         f"({whole_by_the_rule(len(cases)):.1f} expected: noise takes "
-        f"{100.0 * called_by_noise():.0f} % of plates near the limit beyond the probability of {SURE:g}):"
+        f"{100.0 * called_by_noise():.0f} % of plates near the limit past a probability of {SURE:g}):"
     )
     table = [
         (row["kind"], *(f"**{row[v]}**" if RIGHT[row["kind"]] == v else str(row[v]) for v in VERDICTS))

@@ -2,9 +2,9 @@
 
 python studies/29_recordings.py [--quick] [--minutes M] [--development]
 
-Fifty plates of elements that are independent of the package, hit one to six times. Recordings have what real
-ones have: hum, a second stroke, a clipped file, background noise, modes that drift from hit to hit, modes
-that a sensor at a node does not see, and resonances that are none of the plate. `identify` answers from them.
+Fifty plates of elements that are independent of the package, hit one to six times. Recordings have the
+defects of real ones: hum, a second stroke, a clipped file, background noise, drifting modes, modes missing
+because the sensor sits at a node, and resonances that are not the plate's. `identify` answers from them.
 
 `--development` draws other plates, prints each and saves nothing.
 """
@@ -43,31 +43,31 @@ KEYS = {
 }
 
 PLATES = 50
-# Seeds of the plates that are reported and of those that were looked at before.
+# Seeds of the plates that are reported and of those inspected before.
 REPORTED, DEVELOPMENT = 37, 2900
 LAYUPS = ("[0/90/0/90]_s", "[0/45/-45/90]_s", "[0_8]", "[90/0/0/0]_s")
 EDGES = ("FFFF", "FFFF", "FFFF", "CFFF", "CFCF", "SSSS")
-# Modes in the range, and where the first one, the last one and the loud ones above it are, Hz.
+# Number of modes in the range, and ranges of the first, the last, and the loud ones above it, Hz.
 MODES, LOWEST, HIGHEST, LOUD = (8, 12), 45.0, 1400.0, 3500.0
-# Relative standard deviations: of a frequency from one test to the next, of constants about the data sheet,
+# Relative standard deviations of a frequency from one test to the next, of constants about the data sheet,
 # and of a gauged thickness and a weighed mass.
 REPEATED, BELIEVED, GAUGED, WEIGHED = (1e-3, 4e-3), 0.05, 5e-3, 1e-3
 DAMPING, DRIFT, NOISE, HUM = (0.003, 0.012), (2e-4, 2e-3), (3e-4, 5e-3), (3e-3, 3e-2)
 AT_A_NODE, MOST_HITS, MOST_FALSE = 0.06, 6, 3
-# A peak is of what is this near, in half widths, or nearest within this fraction of its frequency.
+# A peak belongs to a source this close, in half widths, or else to the nearest within this fraction of f.
 HALF_WIDTHS, NEAR = 1.0, 0.01
-# A pairing of less is stated as doubtful.
+# A pairing of lower probability is reported as doubtful.
 STATED = 0.9
-# Shorter chains than those of the command: an interval of 95 % to a twentieth of its width.
+# Shorter chains than the command's: enough for an interval of 95 % to a twentieth of its width.
 SETTINGS = EnsembleSettings(walkers=40, round_steps=50, effective=400.0, r_hat=1.02, lengths=8.0)
 SUMMED = "stated as doubtful"
-# A constant is determined where its standard deviation is below this, %: a third of the data sheet's 25 %.
+# A constant is determined if its standard deviation is below this, %: a third of the data sheet's 25 %.
 DETERMINED = 8.0
 NO_MODE = -1
 
 
 def drawn(rng: np.random.Generator) -> tuple[dict[str, Any], TruePlate, Array]:
-    """A plate file without a list, the plate as it is, and its frequencies up to `LOUD`, Hz."""
+    """A plate file without a list, the true plate, and its frequencies up to `LOUD`, Hz."""
     while True:
         reference, density = REFERENCES[str(rng.choice(list(REFERENCES)))]
         length = rng.uniform(180.0, 360.0)
@@ -101,7 +101,7 @@ def drawn(rng: np.random.Generator) -> tuple[dict[str, Any], TruePlate, Array]:
 
 
 def case(number: int, seed: int = REPORTED) -> Results:
-    """One plate, its recordings, and what `identify` says of them."""
+    """One plate, its recordings, and the answer of `identify`."""
     rng = np.random.default_rng([seed, number])
     stated, true, f = drawn(rng)
     repeated = float(np.exp(rng.uniform(*np.log(REPEATED))))
@@ -183,7 +183,7 @@ def _named(faults: Faults) -> dict[str, bool]:
 
 
 def _true(f: float, sources: Array, damping: Array, numbers: list[int]) -> list[int]:
-    """The modes that a peak may be of, `NO_MODE` where it is of none."""
+    """Modes that a peak may belong to, `NO_MODE` if it is no mode."""
     away = np.abs(sources - f)
     at = away < HALF_WIDTHS * damping * sources
     nearest = int(np.argmin(away))
@@ -193,7 +193,7 @@ def _true(f: float, sources: Array, damping: Array, numbers: list[int]) -> list[
 
 
 def outcome(found: Results) -> str:
-    """Whether each paired peak is of its mode; else whether the wrong ones are stated as doubtful."""
+    """Verdict: all paired peaks are of their modes, the wrong ones are reported as doubtful, or neither."""
     wrong = [p for p in found["peaks"] if p["taken"] != NO_MODE and p["taken"] not in p["true"]]
     if not wrong:
         return "right"
@@ -228,14 +228,14 @@ def results_of(cases: list[Results], quick: bool) -> Results:
 
 
 def run(quick: bool, minutes: float = float("inf")) -> Results:
-    """The plates that are not saved yet; the small version has one."""
+    """Results of all plates, those not yet saved being computed; quick: one plate."""
     if quick:
         return results_of([case(0, DEVELOPMENT)], quick)
     return case_by_case(range(PLATES), case, lambda c: results_of(c, False), minutes=minutes, path=RESULTS)
 
 
 def sections(results: Results) -> dict[str, str]:
-    """How many plates and constants are right, as a paragraph of a page."""
+    """Paragraph of a page on how many plates and constants are right."""
     c = results["counts"]
     error = (
         ""
@@ -244,14 +244,14 @@ def sections(results: Results) -> dict[str, str]:
     )
     said = (
         f"{c['plates']} plates of independent elements were hit one to six times, with hum, second strokes, "
-        "clipped files, unseen modes and up to three resonances that are none of the plate. In "
-        f"{c['right']} every peak that was taken for a mode was of it; in {c[SUMMED] + c['wrong']} at least "
-        f"one was not, one of them with a probability of {STATED:g} or more in {c['wrong']}. "
-        f"{c['inside']} of {c['constants']} constants{error} lay in their 95 % intervals, "
+        "clipped files, unseen modes and up to three resonances from elsewhere. In "
+        f"{c['right']} every peak was paired with its own mode; in {c[SUMMED] + c['wrong']} at least "
+        f"one was not, {c['wrong']} of these with a stated probability of {STATED:g} or more. "
+        f"{c['inside']} of {c['constants']} constants{error} lay in their 95 % intervals, and "
         f"{c['determined_inside']} of the {c['determined']} "
         f"that the peaks determine to {DETERMINED:g} % (the data sheet makes others too wide to fail). "
-        f"The recordings took {c['reading_median_s']:.1f} s, at most "
-        f"{c['reading_most_s']:.1f} s, beyond the identification."
+        f"Reading the recordings took {c['reading_median_s']:.1f} s in the median, "
+        f"{c['reading_most_s']:.1f} s at most."
     )
     return {"plates": paragraph(said)}
 

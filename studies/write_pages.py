@@ -1,4 +1,4 @@
-"""Write all generated sections of README.md and docs/ from saved results; nothing is computed.
+"""Write all generated sections of README.md and docs/ from saved results, without computing anything.
 
 python studies/write_pages.py [NAME ...]
 """
@@ -18,7 +18,7 @@ PROJECT = HERE.parent
 
 
 def sections(study: str) -> dict[str, str]:
-    """The sections that a study writes from its saved results, by name; none where it writes none."""
+    """Sections that a study writes from its saved results, by name; none if it writes none."""
     spec = importlib.util.spec_from_file_location(f"studies_{study}", HERE / f"{study}.py")
     assert spec is not None
     assert spec.loader is not None
@@ -32,7 +32,7 @@ def sections(study: str) -> dict[str, str]:
 
 
 def written(page: Path, studies: Sequence[str]) -> str:
-    """A page with the sections of these studies, of all figures and of their age written anew."""
+    """A page with the sections of these studies, of all figures and of their age rewritten."""
     text = with_sections(page.read_text(encoding="utf-8"), FIGURE, sections_of_figures(PROJECT, page))
     for study in studies:
         if f"<!-- {study}: " in text:
@@ -41,7 +41,7 @@ def written(page: Path, studies: Sequence[str]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Write the sections of the studies that are named, or of all, and of the figures."""
+    """Write the sections of the named studies, or of all, and of the figures."""
     names = sorted(path.stem for path in HERE.glob("[0-9]*.py"))
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"all unless given: {', '.join(names)}")

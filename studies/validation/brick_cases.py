@@ -1,8 +1,8 @@
 """Worked cases: plates of bricks with one thing wrong, or nothing, as plate files with their truths.
 
-Sizes, constants and seeds were written down before any of the cases was diagnosed. The true constants
-differ from those of the file by a few per cent, a flaw is in geometry, masses or supports of the
-bricks, and lists carry Gaussian noise of 0.2 % of each frequency.
+Sizes, constants and seeds were fixed before any of the cases was diagnosed. The true constants differ from
+those of the file by a few per cent, a flaw is in the geometry, masses or supports of the bricks, and lists
+carry Gaussian noise of 0.2 % of each frequency.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from validation.bricks import (
 
 NOISE: Final = 0.002
 _RESOLUTION_HZ: Final = 0.1
-# Elements in the plane of the two meshes that frequencies are extrapolated from.
+# Elements in the plane of the two meshes whose frequencies are extrapolated.
 _COARSE, _FINE = 110, 220
 
 CONSTANTS: Final = ("E1_GPa", "E2_GPa", "nu12", "G12_GPa")
@@ -40,14 +40,14 @@ BOUNDS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class BrickCase:
-    """A plate as its file describes it, and the truth.
+    """The truth about a plate, and its description in the file.
 
     sides : mm, length, width, thickness
     density : kg/m3
     reference, constants : of the file and of the bricks, in the order of `CONSTANTS`
-    cause : name in the catalogue, "none", or what the list lacks
+    cause : name in the catalogue, "none", or a description of what the list lacks
     size : in words, with the place
-    missed : numbers of the modes that the list lacks, counted from 1
+    missed : numbers of the modes missing from the list, counted from 1
     stated : whether the file states the repeatability
     has_sd : whether it states how well the reference is known
     """
@@ -71,7 +71,7 @@ class BrickCase:
 
     @property
     def mass(self) -> float:
-        """Of the plate, kg."""
+        """Mass of the plate, kg."""
         return self.density * float(np.prod(self.sides)) * 1e-9
 
 
@@ -304,7 +304,7 @@ CASES: Final[Mapping[str, BrickCase]] = {case.name: case for case in _CASES}
 def true_frequencies(case: BrickCase, n_modes: int, *, fine: int = _FINE, coarse: int = _COARSE) -> Array:
     """The n lowest frequencies of the bricks, extrapolated from two meshes, (n,) Hz.
 
-    Raises CalculixError where CalculiX is not there or fails.
+    Raises CalculixError if CalculiX is missing or fails.
     """
     specimen = read_plate(plate_of(case))
     given = {"E1": case.constants[0] * 1e9, "E2": case.constants[1] * 1e9}
@@ -314,14 +314,14 @@ def true_frequencies(case: BrickCase, n_modes: int, *, fine: int = _FINE, coarse
 
 
 def listed_frequencies(case: BrickCase, frequencies: Array) -> list[float]:
-    """The list of a laboratory: modes missed, noise of 0.2 %, rounded to 0.1 Hz, ascending."""
+    """A laboratory's list: modes missed, noise of 0.2 %, rounded to 0.1 Hz, ascending."""
     noise = np.random.default_rng(case.seed).standard_normal(len(frequencies))
     f = np.delete(frequencies * np.exp(NOISE * noise), [k - 1 for k in case.missed])
     return [round(float(v), 1) for v in np.sort(f)]
 
 
 def plate_of(case: BrickCase, frequencies_hz: list[float] | None = None) -> dict[str, Any]:
-    """The plate file of a case as a dictionary; without its list where there is none."""
+    """Plate file of a case as a dictionary; without its list if there is none."""
     bounds = {k: list(b) for k, b in zip(CONSTANTS, BOUNDS[case.material], strict=True)}
     reference = dict(zip(CONSTANTS, case.reference, strict=True))
     plate: dict[str, Any] = {
@@ -347,7 +347,7 @@ def plate_of(case: BrickCase, frequencies_hz: list[float] | None = None) -> dict
 
 
 def plate_file(case: BrickCase, frequencies_hz: list[float]) -> str:
-    """The plate file of a case as TOML, which says nothing of the truth."""
+    """Plate file of a case as TOML, which reveals nothing of the truth."""
     lines: list[str] = []
     plate = plate_of(case, frequencies_hz)
     _write_table(lines, "", plate)
@@ -372,7 +372,7 @@ def _value(value: Any) -> str:
 
 
 def truth_of(case: BrickCase, frequencies: Array) -> dict[str, Any]:
-    """What a file does not say: cause, size, constants, and the frequencies of the bricks without noise."""
+    """Truth hidden from the file: cause, size, constants, and the bricks' frequencies without noise."""
     return {
         "case": case.name,
         "cause": case.cause,

@@ -19,10 +19,10 @@ from validation.independent.true_plate import TruePlate, has_plies, is_free
 
 Array = NDArray[np.float64]
 Made = tuple[str, Truth]
-# Causes, further names of them, what is wrong.
+# Causes, other accepted names of them, and the flaws.
 Wrong = tuple[tuple[str, ...], tuple[str, ...], Flaws]
 
-# Elements in the plane of the two meshes that frequencies are extrapolated from.
+# Elements in the plane of the two meshes whose frequencies are extrapolated.
 _COARSE, _FINE = 80, 160
 _SOFT_CLAMP = ("clamp_rotation", "clamp_translation")
 
@@ -76,7 +76,7 @@ def _soft(true: TruePlate, rng: np.random.Generator) -> Wrong:
 
 
 def _stressed(true: TruePlate, rng: np.random.Generator) -> Wrong:
-    """Of the thermal strain that buckles a strip, pi^2 h^2 / (3 side^2), a part."""
+    """Thermal strain that is a fraction of a strip's buckling strain, pi^2 h^2 / (3 side^2)."""
     strain = signed(rng, 0.2, 0.6) * np.pi**2 / 3.0 * (true.thickness / true.width) ** 2
     return ("membrane_stress",), (), Flaws(heat=Heat(float(strain)))
 
@@ -89,7 +89,7 @@ def _of_plies(true: TruePlate) -> bool:
     return has_bench(true) and has_plies(true)
 
 
-# How many lists of each, on which plates.
+# Kind -> number of lists, condition on the plate, and the flaw.
 KINDS: dict[
     str, tuple[int, Callable[[TruePlate], bool], Callable[[TruePlate, np.random.Generator], Wrong]]
 ] = {
@@ -110,7 +110,7 @@ KINDS: dict[
 def plans() -> Iterator[
     tuple[str, Callable[[TruePlate], bool], Callable[[NominalPlate, np.random.Generator], Made]]
 ]:
-    """Every list: its name, which plates will do, and how it is made."""
+    """All lists: name, condition on the plate, and maker."""
     for name, (number, on, what) in KINDS.items():
         for k in range(number):
             yield f"bricks-{name}-{k}", on, partial(_made, name, what)
@@ -147,7 +147,7 @@ def _made(
 
 
 def frequencies(nominal: NominalPlate, true: TruePlate, flaws: Flaws) -> Array:
-    """Of the bricks, extrapolated from two meshes, of the list and FURTHER modes, Hz."""
+    """Frequencies of the bricks, extrapolated from two meshes, of the list and FURTHER modes, Hz."""
     size = {f"{side}_mm": 1e3 * getattr(true, side) for side in ("length", "width", "thickness")}
     named = {IN_FILE[name]: value for name, value in true.constants.items()}
     kind: MaterialSymmetry = "isotropic" if nominal.material == "aluminium" else "transversely_isotropic"

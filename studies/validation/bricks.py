@@ -1,8 +1,8 @@
-"""Plates of three-dimensional bricks that are not as their file says: flaws in geometry, masses and supports.
+"""Plates of three-dimensional bricks that differ from their file: flaws in geometry, masses and supports.
 
-The decks share mesh and cards with those of `forward_model.calculix`, and nothing with the effects of
-the catalogue: a taper moves nodes, a soft clamp is springs on the face of the edge, a missing corner is
-elements left out.
+The decks share mesh and cards with those of `forward_model.calculix`, and nothing with the effects of the
+catalogue: a taper moves nodes, a soft clamp is springs on the edge face, a missing corner is omitted
+elements.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 _IN_PLANE = 160
-# A vertex of an element's face carries this fraction of a middle's area: weights in proportion to the
-# diagonal of the mass matrix, all of them positive.
+# Weight of a vertex of an element's face relative to a mid-side node: in proportion to the diagonal of the
+# mass matrix, hence positive.
 _VERTEX_WEIGHT = 3.0 / 16.0
 
 
 @dataclass(frozen=True, slots=True)
 class Mass:
-    """A mass on the top of the plate, at the vertex of the mesh that is set there: kg; x, y m."""
+    """A mass on top of the plate, at a mesh vertex that is placed there: kg; x, y m."""
 
     mass: float
     x: float
@@ -62,7 +62,7 @@ class Patch:
 
 @dataclass(frozen=True, slots=True)
 class Notch:
-    """A rectangle missing at the corner x = length, y = width: sides in m."""
+    """A rectangle missing at the corner x = length, y = width; sides in m."""
 
     along_x: float
     along_y: float
@@ -70,9 +70,9 @@ class Notch:
 
 @dataclass(frozen=True, slots=True)
 class Springs:
-    """Springs that hold the clamped faces instead of fixing them, N/m3.
+    """Springs that hold the clamped faces instead of a rigid fixture, N/m3.
 
-    normal : along the normal of the face, which a turning edge stretches in proportion to z
+    normal : along the normal of the face; a rotation of the edge stretches it in proportion to z
     along : along the edge
     transverse : along the normal of the plate
     """
@@ -84,9 +84,9 @@ class Springs:
 
 @dataclass(frozen=True, slots=True)
 class Heat:
-    """Residual stress of a plate that is warmer in the middle: strain alpha T cos^2 cos^2 in every direction.
+    """Residual stress of a plate that is warmer in the middle: isotropic strain alpha T cos^2 cos^2.
 
-    strain : thermal strain that a free piece would have in the middle.
+    strain : thermal strain of a free piece in the middle
     """
 
     strain: float
@@ -94,11 +94,11 @@ class Heat:
 
 @dataclass(frozen=True, slots=True)
 class Flaws:
-    """What is wrong with a plate, nothing by default.
+    """Flaws of a plate, none by default.
 
-    masses : on its top
-    turned_deg : all plies
-    taper : (x, y), thickness h (1 + t s) with s from -1 to 1, the midplane staying plane
+    masses : on top of it
+    turned_deg : rotation of all plies
+    taper : (x, y), thickness h (1 + t s) with s from -1 to 1, the midplane remaining plane
     sag : (x, y), m: midplane at z = sag_x (1 - s_x^2) + sag_y (1 - s_y^2)
     """
 
@@ -126,8 +126,8 @@ def flawed_frequencies(
     constants, in_plane : as for `plate_deck`.
     timeout : s.
 
-    Raises ValueError for what `flawed_deck` refuses and CalculixError as `run_deck` does or when the number
-    of modes is wrong.
+    Raises ValueError for what `flawed_deck` refuses, and CalculixError as `run_deck` does or if the number of
+    modes is wrong.
     """
     deck = flawed_deck(specimen, constants, n_modes, flaws, in_plane=in_plane)
     eigenvalues = read_eigenvalues(run_deck(deck.text, timeout=timeout))
@@ -145,10 +145,10 @@ def extrapolated_frequencies(
     coarse: int,
     fine: int,
 ) -> Array:
-    """The n lowest frequencies of two meshes with so many elements in the plane, extrapolated, (n,) Hz.
+    """The n lowest frequencies extrapolated from two meshes, (n,) Hz; coarse, fine : elements in the plane.
 
-    The error is taken to fall with the square of the number of elements in the plane, twice as many in the
-    finer one.
+    The error is taken to fall with the square of the number of elements in the plane; the finer mesh has
+    twice as many.
 
     Raises CalculixError as `flawed_frequencies` does.
     """
@@ -166,10 +166,10 @@ def flawed_deck(
     *,
     in_plane: int = _IN_PLANE,
 ) -> Deck:
-    """The deck of a plate with flaws; known masses of the file are there too.
+    """The deck of a plate with flaws, including the known masses of the file.
 
-    Raises ValueError for edges other than F and C, springs without a clamped edge, heat with one, and
-    for constants that no material can have.
+    Raises ValueError for edges other than F and C, springs without a clamped edge, heat with one, and for
+    impossible constants.
     """
     plate = specimen.plate
     if set(plate.edges) - set("FC"):
@@ -247,7 +247,7 @@ def _turned(angles: Array, by: float) -> list[float]:
 
 
 def _centres(mesh: PlateMesh) -> tuple[Array, Array]:
-    """x and y of the middle of every element in the plane, (n_elements,) m each."""
+    """x and y of the centre of every element in the plane, (n_elements,) m each."""
     centre = mesh.nodes[mesh.elements[0] - 1].mean(axis=1)
     return centre[:, 0], centre[:, 1]
 
@@ -274,7 +274,7 @@ def _moved(nodes: Array, length: float, width: float, flaws: Flaws) -> Array:
 
 
 def _used_nodes(mesh: PlateMesh, used: Integers) -> str:
-    """The card of the nodes that some element has; others would be free bodies without a mass."""
+    """Card of the nodes used by elements; unused ones would be free bodies without mass."""
     if len(used) == len(mesh.nodes):
         return node_block(mesh)
     rows = (f"{n}, {number_line(mesh.nodes[n - 1].tolist())}" for n in used.tolist())
@@ -297,7 +297,7 @@ def _elements(mesh: PlateMesh, kept: NDArray[np.bool_], owner: Integers, patch: 
 
 def _material(constants: Mapping[str, float], density: float, name: str, heat: Heat | None) -> str:
     card = material_card(constants, "transversely_isotropic", density, name)
-    # unit coefficient: a temperature is a strain
+    # coefficient of one, so that a temperature is a strain
     return card if heat is None else f"{card}\n*EXPANSION\n1.0"
 
 
@@ -325,7 +325,7 @@ def _held(edges: str, mesh: PlateMesh, springs: Springs | None, number: int) -> 
 
 
 def _nodal_areas(mesh: PlateMesh, edge: str) -> dict[int, float]:
-    """Part of the area of an edge's face that each of its nodes stands for, m2."""
+    """Area of an edge's face that each of its nodes represents, m2."""
     on_edge = set(mesh.edges[edge].tolist())
     along = 1 if edge[0] == "x" else 0
     areas: dict[int, float] = {}
@@ -344,7 +344,7 @@ def _nodal_areas(mesh: PlateMesh, edge: str) -> dict[int, float]:
 
 
 def _stressed_steps(mesh: PlateMesh, length: float, width: float, heat: Heat, asked: int) -> str:
-    """A static step that heats the plate, held against rigid motion alone, then its modes set free."""
+    """A static step that heats the plate, held against rigid motion only, then its modes when set free."""
     x, y = mesh.nodes[:, 0], mesh.nodes[:, 1]
     strain = heat.strain * np.sin(np.pi * x / length) ** 2 * np.sin(np.pi * y / width) ** 2
     rows = (f"{n}, {number_line([t])}" for n, t in enumerate(strain.tolist(), start=1))

@@ -1,4 +1,4 @@
-"""Results of many independent repetitions on disk, a line each, as they come."""
+"""Results of many independent repetitions on disk, one line each, saved as they finish."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ _SEAL_DIGITS: Final = 16
 
 @dataclass(frozen=True, slots=True)
 class DrawStore:
-    """A file of lines, a checksum and a JSON document each: the hash of the problem first, then the records.
+    """A file of lines with a checksum and a JSON document each: the hash of the problem, then the records.
 
-    A line counts once its end is written, so a run that is killed at any moment loses at most the record
-    that it was writing. A store begun before lines had checksums goes on without them.
+    A line counts once its end is written, so a run killed at any moment loses at most the record that it was
+    writing. A store begun before lines had checksums continues without them.
 
-    records : those that were there when the store was opened.
+    records : those present when the store was opened.
     sealed : whether its lines have checksums.
     """
 
@@ -46,10 +46,10 @@ class DrawStore:
 
     @classmethod
     def open(cls, path: Path, key: str) -> DrawStore:
-        """The store of the problem with this hash, begun if the file is not there or empty.
+        """Open the store of the problem with this hash, or begin it if the file is missing or empty.
 
-        Raises ``StoreError`` for a file of another problem, one that is damaged before its last line
-        or one that cannot be read or written.
+        Raises ``StoreError`` for a file of another problem, one damaged before its last line, or one that
+        cannot be read or written.
         """
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -78,7 +78,7 @@ class DrawStore:
         return cls(path, tuple(records), sealed)
 
     def append(self, record: dict[str, Any]) -> None:
-        """Add a record; floats are read back bit for bit. Raises ``StoreError`` if it cannot be written."""
+        """Append a record; floats are read back bit for bit. Raises ``StoreError`` if writing fails."""
         try:
             _append(self.path, record, self.sealed)
         except OSError as error:
@@ -88,7 +88,7 @@ class DrawStore:
 
 
 def _record(line: bytes, sealed: bool) -> Any:
-    """What a line holds; raise ``ValueError`` for one that is damaged."""
+    """Content of a line; raises ``ValueError`` if it is damaged."""
     if not sealed:
         return json.loads(line)
     seal, _, text = line.partition(b" ")
@@ -118,7 +118,7 @@ def stored_calibration(
     executor: Executor | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> tuple[Repetition, ...]:
-    """Repetitions of an experiment, each kept in a store as it ends; ``progress`` takes the number done.
+    """Repetitions of an experiment, each stored when it ends; ``progress`` is called with the number done.
 
     Raises ``StoreError`` for a store of another experiment.
     """
@@ -136,7 +136,7 @@ def stored_calibration(
 
 
 def experiment_hash(experiment: Experiment) -> str:
-    """Hash of all that a repetition depends on: code, priors, predictions, noise, settings, seed."""
+    """Hash of everything that a repetition depends on: code, priors, predictions, noise, settings, seed."""
     nature = nature_of(experiment.source)
     posterior = prior_of(experiment, nature)
     rng = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""Lists drawn from the Ritz models, for studies of marginal likelihoods: they test the integral."""
+"""Lists drawn from the Ritz models, for studies of marginal likelihoods: they test only the integral."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ CLAMPED = Path(__file__).parents[1] / "data" / "bricks" / "clean_clamped.toml"
 
 SEED = 0
 NOISE, RESOLUTION_HZ = 0.002, 0.1
-# Plates with the frequencies that their models have, whether [material.sd] is kept, and list lengths.
+# Plates with the number of modes of their models, whether [material.sd] is kept, and list lengths.
 PLATES = (("C1", 10, True, (6, 10)), ("C1", 10, False, (6, 10)), ("clamped", 12, False, (6, 10, 12)))
 SIGNALS = (4.0, 8.0, 16.0, 32.0, 100.0)
 
 
 def listed(number: int) -> tuple[np.random.Generator, dict[str, Any], PlateCase, Hypothesis]:
-    """A list by its number: the generator that drew it, what it is, its plate and the true hypothesis.
+    """A list by its number: the generator that drew it, its description, its plate and the true hypothesis.
 
-    The truth is none or a cause of the catalogue, its size from its prior or at a signal to noise.
+    The truth is none or a cause of the catalogue, with a size from its prior or for a given signal to noise.
     """
     rng = np.random.default_rng([SEED, number])
     name, most, with_sd, lengths = PLATES[number % len(PLATES)]
@@ -57,7 +57,7 @@ def listed(number: int) -> tuple[np.random.Generator, dict[str, Any], PlateCase,
 
 @cache
 def plate(name: str, n: int, with_sd: bool) -> PlateCase:
-    """A plate with a list that stands in for those to be drawn."""
+    """A plate with a placeholder list."""
     specimen: Specimen = read_plate(CLAMPED) if name == "clamped" else builtin(name)
     if not with_sd:
         assert isinstance(specimen.material, Material)
@@ -66,7 +66,7 @@ def plate(name: str, n: int, with_sd: bool) -> PlateCase:
 
 
 def a_list(frequencies: Array, *, stated: bool) -> Measurement:
-    """A complete list, its noise stated or left out."""
+    """A complete list, with or without its noise stated."""
     labels = ("",) * len(frequencies)
     f = np.sort(np.round(frequencies / RESOLUTION_HZ) * RESOLUTION_HZ)
     return Measurement(f, RESOLUTION_HZ, NOISE if stated else None, None, labels, complete=True)
@@ -78,7 +78,7 @@ def with_frequencies(case: PlateCase, f: Array, *, stated: bool) -> PlateCase:
 
 
 def drawn(case: PlateCase, n: int, rng: np.random.Generator) -> tuple[Hypothesis, float, str, Array]:
-    """What is hidden, its size, how large it was meant to be, and the frequencies without noise, (n,)."""
+    """The hidden hypothesis, its size, how that was chosen, and the frequencies without noise, (n,)."""
     case = with_frequencies(case, np.arange(1.0, n + 1.0), stated=True)
     singles = [h for h, _ in hypotheses_of([case])]
     causes = sorted({h.cause for h in singles})
@@ -115,7 +115,7 @@ def drawn(case: PlateCase, n: int, rng: np.random.Generator) -> tuple[Hypothesis
 
 
 def at_random_place(h: Hypothesis, rng: np.random.Generator) -> Hypothesis:
-    """A hypothesis with its effect at a place drawn from its prior; itself where it has none."""
+    """A hypothesis with its effect at a place drawn from its prior; unchanged if it has no place."""
     if not h.effects or not h.effects[0].is_anywhere:
         return h
     effect = h.effects[0]
@@ -126,9 +126,9 @@ def at_random_place(h: Hypothesis, rng: np.random.Generator) -> Hypothesis:
 def size_for(
     case: PlateCase, comparison: CorrelatedDensity, x: Array, column: int, most: float, signal: float
 ) -> float | None:
-    """The smallest size with a signal to noise; None where it is not reached by ``most``.
+    """Smallest size with a given signal to noise; None if ``most`` does not reach it.
 
-    The signal is the shift of ln f less what the constants imitate within their priors.
+    The signal is the shift of ln f minus what the constants imitate within their priors.
     x : (n,) parameters; column : of the size.
     """
     scores = NormalScores(case.models.parameters)
@@ -139,7 +139,7 @@ def size_for(
     slope = plain.jacobian[0] / plain.frequencies[0][:, None] * scores.slope(scores.to_x(z), z)[0]
     a = slope[case.modes] / NOISE
     values, vectors = np.linalg.eigh(np.eye(len(a)) + a @ a.T)
-    # effects of second order grow as squares
+    # second-order effects grow with the square of the size
     sizes = most * np.linspace(0.0, 1.0, 97) ** 2
     at = np.tile(x, (len(sizes), 1))
     at[:, column] = sizes
@@ -153,6 +153,6 @@ def size_for(
 
 
 def weighed(case: PlateCase, chosen: list[Hypothesis]) -> list[Tested]:
-    """Hypotheses, none first, as the diagnosis weighs them."""
+    """Hypotheses, none first, weighed as in the diagnosis."""
     every = [(h, (0,)) for h in chosen]
     return list(weigh([case], every, scatter=SCATTER, sets=False).tested)

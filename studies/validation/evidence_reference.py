@@ -1,9 +1,9 @@
-"""The marginal likelihood of one hypothesis by brute force: what the diagnosis's quick way is held to.
+"""Marginal likelihood of one hypothesis by brute force, as a reference for the diagnosis's quick method.
 
-Starts, nodes and proposals are its own. Independent draws of the prior, many more than the quick way has, are
-ranked by likelihoods at several tempered noises and optimised to the end. At every node of a dense grid over
-the effect's size (of a cloud, where there are several sizes) the constants are optimised again, from the
-draws next to the node and from the optima. All of these are a proposal only: the integral is that of an
+Starts, nodes and proposals are its own. Independent draws of the prior, many more than the quick method uses,
+are ranked by tempered likelihoods at several noise levels and optimised to the end. At every node of a dense
+grid over the effect's size (of a cloud, if there are several sizes) the constants are optimised again, from
+the draws next to the node and from the optima. All of these only form a proposal: the integral is that of an
 importance sample, which is refitted and enlarged until its error is small.
 """
 
@@ -32,31 +32,31 @@ from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
 
-# Relative noises at which draws are ranked, and the best of each ranking that are optimised.
+# Relative noise levels at which draws are ranked, and number of the best of each ranking that are optimised.
 _TEMPERED, _BEST_OF_EACH = (0.1, 0.03, 0.01, 0.003), 12
-# Draws that are optimised as they come.
+# Number of draws optimised without ranking.
 _AS_THEY_COME = 16
-# Sizes of half of the draws, and the nodes, are spread evenly over scores this far.
+# Sizes of half of the draws, and the nodes, are spread evenly over scores up to this.
 _REACH = 4.5
-# A node's draws: the nearest in size, and the best of these at two tempered noises.
+# Draws for a node: number of the nearest in size, and the best of these at two tempered noise levels.
 _NEAREST, _BEST_AT_NODE, _TEMPERED_AT_NODE = 64, 2, (0.03, 0.005)
-# Steps of an optimisation at most, and the gain in nats that ends it: jointly, and at a node.
+# Maximum steps of an optimisation and the gain in nats that ends it: jointly, and at a node.
 _TO_THE_END, _AT_NODES = (40, 1e-3), (16, 1e-2)
-# Optima are distinct beyond so many standard deviations; components this far below the best are left out.
+# Optima are distinct beyond this many standard deviations; components this far below the best are left out.
 _DISTINCT, _DEPTH_NATS = 0.5, 14.0
-# The proposal: degrees of freedom, widening, share of one component that is the prior itself.
+# Proposal: degrees of freedom, widening, and weight of the component that is the prior itself.
 _FREEDOM, _WIDER, _OF_PRIOR = 5.0, 1.25, 0.02
 _STAGES = (0.2, 0.2, 0.2, 0.4)
 
 
 @dataclass(frozen=True, slots=True)
 class ReferenceSettings:
-    """How hard the reference works.
+    """Settings for the effort of the reference.
 
-    draws : of the prior
+    draws : number of draws of the prior
     nodes : of the grid over one size, or of the cloud over several
-    log2_points : of the importance sample, first and at most
-    error : of the log evidence, at which the sample is large enough
+    log2_points : of the importance sample, initially and at most
+    error : of the log evidence at which the sample is large enough
     """
 
     draws: int = 4096
@@ -96,10 +96,10 @@ def reference_evidence(
     *,
     hopeless: float = -np.inf,
 ) -> ReferenceEvidence:
-    """The log marginal likelihood of a comparison, constants, noise and sizes integrated over their priors.
+    """Log marginal likelihood of a comparison, with constants, noise and sizes integrated over their priors.
 
     sizes : columns of the effect's size and further coordinates
-    hopeless : log evidence about the joint optima below which nodes are left out
+    hopeless : nodes are left out if the log evidence about the joint optima is below this
     """
     settings = settings or ReferenceSettings()
     rng = np.random.default_rng([seed, 18])
@@ -141,14 +141,14 @@ def _tempered(misfit: Array, noise: float) -> Array:
 
 
 def _ranked(drawn: _Drawn) -> Array:
-    """Starts: the best draws at every tempered noise, and some as they come."""
+    """Starts: the best draws at every tempered noise level, and some without ranking."""
     which = [np.arange(min(_AS_THEY_COME, len(drawn.z)))]
     which += [np.argsort(-_tempered(drawn.misfit, s), kind="stable")[:_BEST_OF_EACH] for s in _TEMPERED]
     return np.asarray(drawn.z[np.unique(np.concatenate(which))])
 
 
 def _optimised(comparison: CorrelatedDensity, z: Array, held: tuple[int, ...]) -> tuple[Array, Expansion]:
-    """Where optimisations from scores (m, n) end, those of some columns held."""
+    """End points of optimisations from scores (m, n), with some columns held fixed."""
     free = np.delete(np.arange(z.shape[1]), held)
     bound = comparison.scores.upper[free]
 
@@ -166,7 +166,7 @@ def _optimised(comparison: CorrelatedDensity, z: Array, held: tuple[int, ...]) -
 
 
 def _separate(z: Array, e: Expansion) -> tuple[Array, Expansion]:
-    """The distinct ones of optima, the best first."""
+    """The distinct optima, the best first."""
     order = np.argsort(-e.value, kind="stable")
     kept: list[int] = []
     for i in order[e.value[order] > e.value[order[0]] - _DEPTH_NATS]:
@@ -214,7 +214,7 @@ def _at_nodes(
 
 
 def _starts_at(node: Array, columns: list[int], drawn: _Drawn, optima: Array) -> Array:
-    """Starts (s, n) of a node (d,): the best of the draws nearest in size, and optima near it."""
+    """Starts (s, n) for a node (d,): the best of the draws nearest in size, and optima near it."""
     away = np.sum((drawn.z[:, columns] - node) ** 2, axis=1)
     near = np.argpartition(away, min(_NEAREST, len(away) - 1))[:_NEAREST]
     best = [
@@ -228,9 +228,9 @@ def _starts_at(node: Array, columns: list[int], drawn: _Drawn, optima: Array) ->
 
 
 def _proposal(centre: Array, factor: Array, log_mass: Array) -> Mixture:
-    """A stack of one mixture of Student-t densities, the prior among them."""
+    """A stack of one mixture of Student-t densities that includes the prior."""
     kept = log_mass > log_mass.max() - _DEPTH_NATS
-    share = np.exp(0.7 * (log_mass[kept] - log_mass.max()))  # flatter than the masses: these may be wrong
+    share = np.exp(0.7 * (log_mass[kept] - log_mass.max()))  # flatter than the masses, which may be wrong
     n = centre.shape[1]
     share = np.append((1.0 - _OF_PRIOR) * share / share.sum(), _OF_PRIOR)
     centres = np.concatenate((centre[kept], np.zeros((1, n))))
@@ -239,7 +239,7 @@ def _proposal(centre: Array, factor: Array, log_mass: Array) -> Mixture:
 
 
 def _in_stages(comparison: CorrelatedDensity, mixture: Mixture, log2_points: int) -> Weighted:
-    """An importance sample in four stages, the proposal refitted to all points after each."""
+    """An importance sample in four stages, the proposal being refitted to all points after each."""
     stops = np.cumsum([0, *(round(stage * (1 << log2_points)) for stage in _STAGES)]).tolist()
     n = mixture.centre.shape[2]
     mixtures: list[Mixture] = []

@@ -1,12 +1,11 @@
-"""Which state of the code computed a result: fingerprints of cases, and that of a study by its oldest case.
+"""Fingerprints that tell which state of the code computed a case, and a study by its oldest case.
 
-A study whose cases one module of the package computes names it, `COMPUTED_BY`: how they are judged and shown
-is then no part of the fingerprint.
+A study whose cases are all computed by one module of the package names it, `COMPUTED_BY`; the code that
+judges and shows them is then not part of the fingerprint.
 
-A row of a study's results keeps under "fingerprint" that of the code that computed it, from when it was
-computed. `LEDGER` has one a study: today's if all its rows have it, or if none has any and all was computed
-at once; else the first of another state. Rows that were saved without one have what is recorded of their
-study, "unknown" where nothing is.
+A row of a study's results keeps the fingerprint of the code that computed it under "fingerprint". `LEDGER`
+has one per study: today's if all rows have it, or if none has any and all were computed at once; else the
+first of another state. Rows saved without one get what is recorded for their study, "unknown" if nothing is.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ LEDGER = STUDIES / "results" / "fingerprints.json"
 KEY: Final = "fingerprint"
 UNKNOWN: Final = "unknown"
 
-# How results are kept and written is no part of what computes them.
+# The code that keeps and writes results is not part of what computes them.
 _KEEPING: Final = frozenset({"fingerprints", "reporting"})
 _COMPUTED_BY: Final = re.compile(r'^COMPUTED_BY = "([\w.]+)"$', re.MULTILINE)
 _OF_NOTHING: Final = hashlib.sha256().hexdigest()[:12]
@@ -37,9 +36,9 @@ _OF_NOTHING: Final = hashlib.sha256().hexdigest()[:12]
 
 @cache
 def fingerprint_of_study(name: str) -> str:
-    """Of the package's sources that a study uses, by itself and through `validation`, joined by "+".
+    """Fingerprints, joined by "+", of the package's sources that a study uses, directly or via `validation`.
 
-    They are read once: sources that are changed while a study runs are not those that compute it.
+    They are read once: sources that change while a study runs are not those that compute it.
     """
     named = _COMPUTED_BY.search((STUDIES / f"{name}.py").read_text("utf-8"))
     if named:
@@ -50,7 +49,7 @@ def fingerprint_of_study(name: str) -> str:
 
 
 def remember(script: Path) -> None:
-    """Take the fingerprint of a study that is started before it computes anything; of other scripts none."""
+    """Record the fingerprint of a study when it starts, before it computes anything; ignore other scripts."""
     if script.resolve().parent == STUDIES and script.stem[:1].isdigit():
         fingerprint_of_study(script.stem)
 
@@ -61,14 +60,14 @@ def is_of_study(path: Path) -> bool:
 
 
 def stamped(row: dict[str, Any], path: Path, fingerprint: str | None = None) -> dict[str, Any]:
-    """A row of a study's results with the fingerprint of today's code, or this one; one that it has stays."""
+    """A results row with the given fingerprint, today's by default; an existing one is kept."""
     if not is_of_study(path):
         return row
     return {**row, KEY: row.get(KEY, fingerprint or fingerprint_of_study(path.stem))}
 
 
 def with_recorded(results: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Saved results, their rows with the fingerprints that are known of them."""
+    """Saved results with the known fingerprints added to their rows."""
     before = recorded().get(path.stem, UNKNOWN)
     return {
         key: [stamped(row, path, before) if isinstance(row, dict) else row for row in rows]
@@ -79,13 +78,13 @@ def with_recorded(results: dict[str, Any], path: Path) -> dict[str, Any]:
 
 
 def recorded() -> dict[str, str]:
-    """The fingerprints of all studies' saved results."""
+    """Fingerprints of all studies' saved results."""
     found: dict[str, str] = json.loads(LEDGER.read_text("utf-8")) if LEDGER.exists() else {}
     return found
 
 
 def record(path: Path, results: dict[str, Any]) -> None:
-    """Enter the results of a study into the ledger, by their oldest case."""
+    """Enter the fingerprint of the oldest case of a study's results into the ledger."""
     today = fingerprint_of_study(path.stem)
     found = next((other for other in _fingerprints(results) if other != today), today)
     known = dict(sorted({**recorded(), path.stem: found}.items()))
@@ -93,12 +92,12 @@ def record(path: Path, results: dict[str, Any]) -> None:
 
 
 def is_outdated(study: str) -> bool:
-    """Whether a study's results are of other sources than today's, or of unknown ones."""
+    """Whether a study's results come from other sources than today's, or from unknown ones."""
     return recorded().get(study) != fingerprint_of_study(study)
 
 
 def _fingerprints(results: dict[str, Any]) -> Iterator[str]:
-    """Of the rows of each list in which any has one."""
+    """Fingerprints of the rows of each list that has any."""
     for rows in results.values():
         if isinstance(rows, list) and any(isinstance(row, dict) and KEY in row for row in rows):
             yield from (row.get(KEY, UNKNOWN) for row in rows)
@@ -121,7 +120,7 @@ def _scripts(script: Path) -> list[Path]:
 
 
 def _imported(tree: ast.Module) -> Iterator[str]:
-    """Full names of the modules that a file imports, those of names in them included."""
+    """Full names of the modules that a file imports, including names that may be modules."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)

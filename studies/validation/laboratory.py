@@ -1,4 +1,4 @@
-"""What a laboratory writes into the file of a plate: references of its material, and bounds about them."""
+"""Material data that a laboratory writes into a plate file: reference constants, and bounds about them."""
 
 from __future__ import annotations
 

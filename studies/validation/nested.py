@@ -1,4 +1,4 @@
-"""Evidence by nested sampling with dynesty: a second estimator that shares nothing with the first."""
+"""Evidence by nested sampling with dynesty, an estimator independent of the package's own."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cpam_bayes.running import single_blas_thread
 
 Array = NDArray[Any]
 
-# Stands for log 0, which dynesty does not take.
+# Stands for log 0, which dynesty does not accept.
 _NOTHING = -1e300
 
 
@@ -31,12 +31,12 @@ def nested_of_scores(
     batch: int = 32,
     sample: str = "rslice",
 ) -> tuple[float, float]:
-    """The log evidence of a likelihood of stacks of parameters (m, n), and its error by nested sampling.
+    """Log evidence by nested sampling, and its error, of a likelihood of stacks of parameters (m, n).
 
-    The cube is the prior: z = Phi^-1(u), by which scores are standard normal.
+    The unit cube is the prior: z = Phi^-1(u), as scores are standard normal.
 
-    sample : how dynesty draws points above a likelihood, "rslice" along random directions, "unif" from
-        ellipsoids about the live points, quicker where parameters are few.
+    sample : how dynesty draws points above a likelihood: "rslice" along random directions, "unif" from
+        ellipsoids about the live points, quicker with few parameters.
     """
     import dynesty
 
@@ -62,18 +62,17 @@ def nested_of_scores(
 def nested_of_density(
     density: CorrelatedDensity, rng: np.random.Generator, *, live_points: int = 200
 ) -> tuple[float, float]:
-    """The log evidence of a log density over normal scores, and its error by nested sampling itself."""
+    """Log evidence of a density over normal scores, and its error, by nested sampling."""
     return nested_of_scores(
         density.log_likelihood, density.scores, density.parameters.size, rng, live_points=live_points
     )
 
 
 class Lockstep:
-    """A pool for dynesty whose tasks run as threads that wait for one another to ask for values.
+    """A pool for dynesty whose tasks run as threads that wait for one another before values are computed.
 
-    Each task asks for one value after another. When all tasks that still run have asked, the questions are
-    answered as one stack, in the order of the tasks: the answers do not depend on how threads are
-    scheduled.
+    Each task asks for one value after another. When all running tasks have asked, the points are evaluated as
+    one stack, in the order of the tasks, so that the answers do not depend on the scheduling of threads.
     """
 
     def __init__(self, batched: Callable[[Array], Array], size: int) -> None:
@@ -85,7 +84,7 @@ class Lockstep:
         self.running = 0
 
     def value(self, point: Array) -> float:
-        """The value at one point (n,), asked by a task or, outside of them, by itself."""
+        """The value at one point (n,), requested by a task or outside of any."""
         task = getattr(self.local, "task", None)
         if task is None:
             return float(self.batched(point[None])[0])
@@ -99,7 +98,7 @@ class Lockstep:
         return answer
 
     def map(self, function: Callable[[Any], Any], arguments: Iterable[Any]) -> list[Any]:
-        """The function of every argument, in their order."""
+        """Results of the function for all arguments, in their order."""
         every = list(arguments)
         results: list[Any] = []
         for first in range(0, len(every), self.size):

@@ -1,8 +1,8 @@
-"""Answers of a method of one's own to the lists of a set: read, checked, and scored beside the diagnosis.
+"""Answers of a user's own method to the lists of a set: read, checked, and scored beside the diagnosis.
 
-One JSON object a line: the document of ``cpam-bayes diagnose --json`` with the "id" of its list, or of its
-keys these alone: "claim" and "causes", and where a method has them "probability", "constants",
-"baseline" (its "constants" are those of the plain model) and "detectable". All other keys are left alone.
+One JSON object per line: the document of ``cpam-bayes diagnose --json`` with the "id" of its list, or only
+these of its keys: "claim" and "causes", and if the method has them "probability", "constants",
+"baseline" (its "constants" are those of the plain model) and "detectable". All other keys are ignored.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ _CAUSES = frozenset(effect.name for effect in CATALOGUE)
 
 
 class AnswerError(ValueError):
-    """A line that is no answer to a list; the message says which and why."""
+    """A line that is not a valid answer to a list; the message says which and why."""
 
 
 def read(path: Path, lists: Collection[str]) -> dict[str, Record]:
-    """The answers of a file by list; AnswerError for what cannot be scored, OSError for no such file.
+    """Answers in a file by list; raises AnswerError for invalid ones, OSError if there is no such file.
 
-    lists : names of the lists that there are
+    lists : names of the existing lists
     """
     found: dict[str, Record] = {}
     for number, line in enumerate(path.read_text("utf-8").splitlines(), 1):
@@ -51,7 +51,7 @@ def read(path: Path, lists: Collection[str]) -> dict[str, Record]:
 
 
 def answer_of(document: Mapping[str, Any]) -> Record:
-    """What the scores need of one answer; AnswerError where it lacks it."""
+    """The parts of one answer that the scores need; raises AnswerError if one is missing."""
     claim, causes, probability = (document.get(key) for key in ("claim", "causes", "probability"))
     _require(claim in _CLAIMS, f'"claim" {claim!r}: one of {", ".join(_CLAIMS)}')
     _require(isinstance(causes, list), f'"causes" {causes!r}: a list of names')
@@ -78,7 +78,7 @@ def answer_of(document: Mapping[str, Any]) -> Record:
 
 
 def table(name: str, own: Sequence[scoring.Scored], ours: Sequence[scoring.Scored]) -> str:
-    """Markdown: the method beside the diagnosis on the same lists."""
+    """Markdown table with the method beside the diagnosis on the same lists."""
     both = [(scoring.figures(records), records) for records in (ours, own)]
     rows = [("lists", *(str(len(records)) for _, records in both))]
     rows += [
@@ -98,7 +98,7 @@ def _figure(row: Record) -> str:
 
 
 def _intervals(key: str, constants: Any) -> Record:
-    """The 95 % interval of each constant, by its ends or by mean and standard deviation."""
+    """The 95 % interval of each constant, from its ends or from mean and standard deviation."""
     _require(_holds_objects(constants or {}), f'"{key}": an object of objects, one for each constant')
     found = {}
     for name, said in (constants or {}).items():
@@ -114,7 +114,7 @@ def _intervals(key: str, constants: Any) -> Record:
 
 
 def _limit(said: Any) -> tuple[str, list[Any]]:
-    """A cause with its smallest size that would be claimed, None where none would, and its unit."""
+    """A cause with the smallest size that would be claimed (None if none would) and its unit."""
     _require(
         isinstance(said, dict) and {"cause", "smallest", "unit"} <= said.keys(),
         '"detectable": each with "cause", "smallest" and "unit"',

@@ -1,7 +1,7 @@
-"""Recordings of hits with the faults of real ones: hum, second strokes, clipping, drift, background noise.
+"""Recordings of hits with the defects of real ones: hum, second strokes, clipping, drift, background noise.
 
-Damping (0.3 to 1.4 %), decay within half a second, modes that differ in height by a factor of 30, louder ones
-far above the range and scatter of 0.02 to 0.2 % from hit to hit are those of wooden and metal plates.
+Damping (0.3 to 1.4 %), decay within half a second, amplitudes that differ by a factor of 30, louder modes
+far above the range and a scatter of 0.02 to 0.2 % from hit to hit are typical of wooden and metal plates.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ Array = NDArray[np.float64]
 
 RATE = 8000
 ABOVE = (1650.0, 2300.0, 3100.0)
-# Of modes above the range.
+# Damping ratio of modes above the range.
 DAMPING_ABOVE = 8e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """What is wrong with a test.
+    """Defects of a test.
 
-    hum : amplitude of 50 Hz and its triple over the largest value of a record
+    hum : amplitude at 50 Hz and its triple, relative to the largest value of a record
     second_stroke : s after the first, None for one stroke
     twice : fraction of the hits with a second stroke, the first ones
     drift : standard deviation of each frequency from hit to hit, as a fraction
-    noise : standard deviation over the largest value of a record
-    clipped : hits that are clipped, the last ones
+    noise : standard deviation relative to the largest value of a record
+    clipped : number of clipped hits, the last ones
     """
 
     hum: float = 0.0
@@ -56,7 +56,7 @@ def recorded_hits(
     seconds: float = 1.5,
     above: Sequence[float] = ABOVE,
 ) -> list[NDArray[np.int16]]:
-    """Accelerations of hits (n_samples,) each, without the force.
+    """Accelerations of the hits, (n_samples,) each, without the force.
 
     above : Hz, loud modes beyond the range of interest
     """

@@ -6,8 +6,8 @@ A page holds a section between two marks, each on a line of its own:
     ...
     <!-- /08_sequences -->
 
-The first name is the source, a study, a benchmark, ``figure`` or ``age``; the second is the section. All else
-in a page is typed.
+The first name is the source, a study, a benchmark, ``figure`` or ``age``; the second is the section.
+Everything else in a page is written by hand.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Results = dict[str, Any]
 
 
 def study_parser(doc: str | None) -> argparse.ArgumentParser:
-    """The command line of a study: its first line says what it is, and it has a small version."""
+    """Parser of a study's command line: described by the docstring's first line, with the option --quick."""
     parser = argparse.ArgumentParser(description=(doc or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="the small version; nothing is saved")
     return parser
@@ -48,9 +48,9 @@ def study_main(
 
 
 def save_results(path: Path, results: Results) -> None:
-    """Write the results, of a study with the fingerprint of the code that computed its oldest case.
+    """Write the results; those of a study with the fingerprint of the code that computed its oldest case.
 
-    Raises ``ValueError`` for NaN or infinity, which JSON has not.
+    Raises ``ValueError`` for NaN or infinity, which JSON lacks.
     """
     path.parent.mkdir(exist_ok=True)
     path.write_text(json.dumps(results, indent=1, allow_nan=False) + "\n", encoding="utf-8")
@@ -59,7 +59,7 @@ def save_results(path: Path, results: Results) -> None:
 
 
 def saved_results(path: Path) -> Results:
-    """What was saved before, rows of a study with their fingerprints; empty if nothing was."""
+    """The saved results, a study's rows with their fingerprints; empty if there are none."""
     results: Results = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     return fingerprints.with_recorded(results, path)
 
@@ -70,10 +70,10 @@ def with_saved(
     order: Sequence[Hashable],
     case_of: Callable[[Results], Hashable] = itemgetter("case"),
 ) -> Results:
-    """The results, computed now, with the cases that were saved before and not run again.
+    """New results merged with the saved cases that were not computed again.
 
-    Every list among the results holds rows, each of one case; it is merged case by case and brought into
-    the given order, in which rows of cases that it lacks are dropped. All else is that of the results.
+    Every list in the results holds rows, each of one case; it is merged case by case and put into the given
+    order, which drops rows of cases that are not in it. Everything else is taken from the new results.
     """
     saved, place = saved_results(path), {case: i for i, case in enumerate(order)}
     both = dict(results)
@@ -96,11 +96,11 @@ def case_by_case(
     path: Path | None = None,
     say: Callable[[Results], None] = lambda case: print(case, flush=True),
 ) -> Results:
-    """The results of the cases that are saved at a path and of those that are not, saved one by one.
+    """Results of the cases saved at a path and of the missing ones, saved one by one.
 
-    as_results : what is saved of cases, by their numbers
+    as_results : results from the rows of cases, ordered by number
     minutes : no further case is begun after these
-    say : is told each case that was run
+    say : called with each computed case
     """
     known = {c["case"]: c for c in saved_results(path).get("cases", [])} if path else {}
     end = time.monotonic() + 60.0 * minutes
@@ -128,9 +128,9 @@ def cases_main(
     path: Path,
     others: Callable[..., Results],
 ) -> None:
-    """The command line of a study of drawn cases, which are saved one by one.
+    """Command line of a study of drawn cases, which are saved one by one.
 
-    others : the results of other cases for ``--development``, which are printed and not saved; takes minutes
+    others : results of other cases for ``--development``, printed and not saved; takes minutes
     """
     parser = study_parser(doc)
     parser.add_argument("--minutes", type=float, default=math.inf, help="begin no further case after these")
@@ -146,7 +146,7 @@ def cases_main(
 
 
 FIGURE = "figure"
-# What a page says of results of other code than today's.
+# Source of the sentence on results from an earlier state of the code.
 AGE = "age"
 _PROJECT = fingerprints.STUDIES.parent
 _SECTION = re.compile(
@@ -156,7 +156,7 @@ _SECTION = re.compile(
 
 
 def pages(project: Path) -> list[Path]:
-    """All pages that may hold sections: the README and docs/."""
+    """All pages that may contain sections: the README and docs/."""
     return [project / "README.md", *sorted((project / "docs").glob("*.md"))]
 
 
@@ -177,9 +177,9 @@ def marks(page: str) -> list[tuple[str, str]]:
 
 
 def with_sections(page: str, source: str, sections: Mapping[str, str]) -> str:
-    """A page with the sections of one source written anew.
+    """A page with the sections of one source rewritten.
 
-    Raises ``ValueError`` for a section that the page asks for and the source does not have.
+    Raises ``ValueError`` for a section that the page contains and the source lacks.
     """
 
     def text(section: re.Match[str]) -> str:
@@ -197,7 +197,7 @@ def with_sections(page: str, source: str, sections: Mapping[str, str]) -> str:
 
 
 def write_sections(project: Path, source: str, sections: Mapping[str, str]) -> list[Path]:
-    """Write the sections of one source, and ages of results, into all pages that ask for them.
+    """Write the sections of one source, and ages of results, into all pages that contain them.
 
     Returns the pages that changed.
     """
@@ -212,7 +212,7 @@ def write_sections(project: Path, source: str, sections: Mapping[str, str]) -> l
 
 
 def studies_of(page: str) -> set[str]:
-    """The studies whose results a page shows, in sections or in figures."""
+    """Studies whose results a page shows, in sections or in figures."""
     asked = marks(page)
     written = {source for source, _ in asked if (fingerprints.STUDIES / f"{source}.py").exists()}
     figures = {name.removeprefix("picture ") for source, name in asked if source == FIGURE}
@@ -220,12 +220,12 @@ def studies_of(page: str) -> set[str]:
 
 
 def outdated(page: str) -> list[str]:
-    """Studies whose results in a page are of other sources than today's, or of unknown ones."""
+    """Studies whose results in a page come from other sources than today's, or from unknown ones."""
     return sorted(filter(fingerprints.is_outdated, studies_of(page)))
 
 
 def with_age(page: str) -> str:
-    """A page that says, where it is asked to, which of its results an earlier state of the code computed."""
+    """A page whose mark for it says which of its results an earlier state of the code computed."""
     old = outdated(page)
     new = sorted(studies_of(page).difference(old))
     which = f"results of {_named(old)}"
@@ -240,7 +240,7 @@ def _named(studies: Sequence[str]) -> str:
 
 
 def captions(project: Path) -> list[Path]:
-    """The captions of all figures that were drawn."""
+    """Caption files of all drawn figures."""
     return [p for p in sorted((project / "figures").glob("*.md")) if p.with_suffix(".png").exists()]
 
 
@@ -250,17 +250,17 @@ def of_figure(caption: Path) -> set[str]:
 
 
 def _names(caption: Path) -> set[str]:
-    """What pages call a figure: by itself, and with all of its script."""
+    """Names of a figure's sections in pages: its own, and that of all figures of its script."""
     scripts = re.findall(r"`python figures/draw\.py (\w+)`", caption.read_text(encoding="utf-8"))
     return {caption.stem, *(f"all of {script}" for script in scripts)}
 
 
 def figure_section(caption: Path, page: Path, *, titled: bool = False) -> str:
-    """A figure with its caption, as a page shows it; from the caption file beside the figure.
+    """A figure with its caption as a page shows it, from the caption file beside the figure.
 
-    The text in place of a picture does not say again what the caption under it says.
+    The alternative text of the picture does not repeat the caption.
 
-    titled : with the title of the caption alone
+    titled : with only the title of the caption
     """
     title, text, *_ = caption.read_text(encoding="utf-8").split("\n\n")
     link = Path(relpath(caption.with_suffix(".png"), page.parent)).as_posix()
@@ -268,7 +268,7 @@ def figure_section(caption: Path, page: Path, *, titled: bool = False) -> str:
 
 
 def sections_of_figures(project: Path, page: Path) -> dict[str, str]:
-    """All figures by name, as "picture NAME" with the title alone, and those of a script as "all of NAME"."""
+    """All figures by name: "picture NAME" with the title alone, and "all of NAME" for those of a script."""
     written: dict[str, str] = {}
     for path in captions(project):
         written[f"picture {path.stem}"] = figure_section(path, page, titled=True)
@@ -278,7 +278,7 @@ def sections_of_figures(project: Path, page: Path) -> dict[str, str]:
 
 
 def paragraph(text: str, start: str = "") -> str:
-    """Text in lines of a page, the first after ``start`` ("- " for an item of a list)."""
+    """Text wrapped to lines of a page, the first beginning with ``start`` ("- " for a list item)."""
     return textwrap.fill(
         " ".join(text.split()),
         110,
@@ -290,14 +290,14 @@ def paragraph(text: str, start: str = "") -> str:
 
 
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table of Markdown."""
+    """A Markdown table."""
     lines = ("| " + " | ".join(cells) + " |" for cells in (head, *rows))
     first, *others = lines
     return "\n".join((first, "|" + "---|" * len(head), *others))
 
 
 def counted(number: float) -> str:
-    """A number of things in few digits: 1296, 46 656, 1.7 million, 844 million, 2.2 billion."""
+    """A count in few digits: 1296, 46 656, 1.7 million, 844 million, 2.2 billion."""
     for word, unit in (("billion", 1e9), ("million", 1e6)):
         if number >= unit:
             return f"{number / unit:.{0 if number >= 10 * unit else 1}f} {word}"
@@ -311,12 +311,12 @@ def with_error(value: float, error: float, decimals: int = 3) -> str:
 
 
 def in_digits(value: float, digits: int = 2) -> str:
-    """A value in so many digits, with a short exponent: 2.3e-5, 1.1e4."""
+    """A value with this many digits and a short exponent: 2.3e-5, 1.1e4."""
     return re.sub(r"e([+-])0*", lambda sign: "e" + sign[1].strip("+"), f"{value:.{digits}g}")
 
 
 def angles(angles_deg: Iterable[float]) -> str:
-    """A stacking sequence in short: 0/90/45."""
+    """Short form of a stacking sequence: 0/90/45."""
     return "/".join(f"{angle:g}" for angle in angles_deg)
 
 

@@ -1,8 +1,8 @@
-"""Stacking sequences: plates with an unknown layup, and the calibration of probabilities of sequences.
+"""Stacking sequences: plates with an unknown layup, and calibration of the probabilities of sequences.
 
-For the calibration sequence and constants are drawn from the prior, a list is simulated, and every sequence
-on the grid gets its probability. Randomised credible sets of a level then hold the true sequence as often as
-the level says (Cook, Gelman and Rubin, 2006, for continuous parameters).
+For the calibration, sequence and constants are drawn from the prior, a list is simulated, and every sequence
+on the grid gets its probability. Randomised credible sets of a level must then contain the true sequence as
+often as the level says (Cook, Gelman and Rubin, 2006, for continuous parameters).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Array = NDArray[Any]
 
 
 def with_unknown_layup(plate: str, layup: str | None, step_deg: float | None = None) -> Specimen:
-    """A built-in plate with unknown angles, its own or those of ``layup``, if wanted on another grid."""
+    """A built-in plate with unknown angles, its own or those of ``layup``, on another grid if wanted."""
     specimen = builtin(plate, sequence=True)
     if layup is not None:
         specimen = replace(specimen, plate=replace(specimen.plate, layup=parse_layup(layup)))
@@ -46,14 +46,14 @@ def with_unknown_layup(plate: str, layup: str | None, step_deg: float | None = N
 
 
 def known_angles(specimen: Specimen) -> Array:
-    """The built-in plate's own angles at the places of the unknown ones, (k,) degrees."""
+    """The built-in plate's own angles at the positions of the unknown ones, (k,) degrees."""
     known = builtin(specimen.name).plate.layup.angles_deg
     layup = specimen.plate.layup
     return np.array([known[np.flatnonzero(layup.unknown_index == i)[0]] for i in range(layup.n_unknown)])
 
 
 def with_noise_free_list(specimen: Specimen, noise: float) -> tuple[Specimen, Array, float]:
-    """A specimen with the noise-free list of its own sequence, which comes too, and the model's error.
+    """A specimen with the noise-free list of its own sequence, that sequence, and the model's error.
 
     noise : relative standard deviation that the list states. The constants are the reference ones.
     """
@@ -75,17 +75,14 @@ ALLOWED = 2.6
 
 @dataclass(frozen=True, slots=True)
 class CoverageSettings:
-    """Noise of the lists, and how each list is evaluated.
+    """Noise of the lists, and settings for evaluating each list.
 
-    relative_std : of the noise.
-    modes : in a list.
-    library : draws of the constants whose frequencies are tabulated for every class.
-    starts : of them an optimisation begins at.
-    max_misfit : root mean square misfit of the nearest of them beyond which a class is left out: at noise of
-    1 % a misfit half as large costs a hundred nats.
-    near : nats below the best within which an evidence is computed by importance sampling, not by Laplace's
-    method.
-    log2_points : of that.
+    relative_std : of the noise. modes : number in a list. library : number of draws of the constants whose
+    frequencies are tabulated for every class. starts : number of them from which an optimisation starts.
+    max_misfit : rms misfit of the nearest of them beyond which a class is left out: at 1 % noise a misfit
+    half as large costs a hundred nats. near : nats below the best within which an evidence is computed by
+    importance sampling, not by Laplace's method.
+    log2_points : of the importance sample.
     """
 
     relative_std: float = 0.01
@@ -102,12 +99,12 @@ class Trial:
     """One simulated list.
 
     truth_deg : (k,) sequence.
-    place : probability of the sequences before the true one, itself in part: uniform if the probabilities
-    are right.
+    place : probability of the sequences before the true one, including part of its own: uniform if the
+    probabilities are right.
     probability : of the true class.
     rank : of it.
-    set_size : sequences in the 95 % set.
-    error : largest standard error of a log evidence that counts.
+    set_size : number of sequences in the 95 % set.
+    error : largest standard error of a log evidence that matters.
     """
 
     number: int
@@ -121,12 +118,12 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class CoverageSummary:
-    """How often randomised sets hold the truth.
+    """How often randomised sets contain the truth.
 
     covered : fraction at the level.
-    sd : binomial.
-    z : their difference in it.
-    p_uniform : of the places, by Kolmogorov and Smirnov.
+    sd : binomial standard deviation.
+    z : their difference in units of it.
+    p_uniform : p-value of the places' uniformity, by Kolmogorov and Smirnov.
     """
 
     level: float
@@ -138,13 +135,13 @@ class CoverageSummary:
 
     @property
     def passes(self) -> bool:
-        """Whether the coverage is what the level says, within 2.6 binomial standard deviations."""
+        """Whether the coverage agrees with the level, within 2.6 binomial standard deviations."""
         return abs(self.z) <= ALLOWED
 
 
 @dataclass(frozen=True, slots=True)
 class _Shared:
-    """What all trials share: the model, the classes (c, k) with sizes, and the library of their lists.
+    """Data shared by all trials: the model, the classes (c, k) with sizes, and the library of their lists.
 
     library : (p, n) constants.
     lists : (c, p, modes) Hz.
@@ -171,10 +168,10 @@ def stacking_coverage(
     executor: Executor | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[Trial, ...]:
-    """Trials 0 to n - 1 on a plate with unknown angles and constants, the same whoever computes them.
+    """Trials 0 to n - 1 on a plate with unknown angles and constants, identical for any executor.
 
-    All of them share one reduced model. A list is not sorted: its frequencies are paired by position, as
-    the likelihood does. Raises ``ValueError`` as ``plate_symmetries`` does.
+    All of them share one reduced model. A list is not sorted: its frequencies are paired by position, as in
+    the likelihood. Raises ``ValueError`` as ``plate_symmetries`` does.
     """
     shared = _shared(specimen, settings or CoverageSettings(), seed)
     return tuple(run(_trial, shared, range(trials), executor, on_result=counted(progress, trials)))
@@ -191,13 +188,13 @@ def summarised(trials: tuple[Trial, ...], level: float = 0.95) -> CoverageSummar
 
 
 def randomised_place(single: Array, size: Array, true: int, fraction: float) -> float:
-    """Where the true class stands when classes are put in descending order of probability, from 0 to 1.
+    """Position, from 0 to 1, of the true class among classes in descending order of probability.
 
-    The set of a level holds all sequences that come before the level is reached, and the one there in part:
+    The set of a level contains all sequences before the level is reached, and part of the one there:
     sum of the more probable sequences + fraction * (sum of the equally probable ones) <= level.
 
     single : (c,) probability of one sequence of each class.
-    size : (c,) sequences in it.
+    size : (c,) number of sequences in it.
     fraction : uniform random number.
     """
     mass = single * size
@@ -269,7 +266,7 @@ def _trial(shared: _Shared, number: int) -> Trial:
 
 
 def _evidences(shared: _Shared, conditional: ConditionalPosterior) -> tuple[Array, Array]:
-    """Log evidence of every class and its standard error where it counts, (c,)."""
+    """Log evidence of every class, and its standard error for those that matter, (c,)."""
     settings, angles = shared.settings, shared.grid_deg[shared.classes]
     starts, misfit = _starts(shared, conditional)
     log_evidence, error = np.full(len(angles), -np.inf), np.zeros(len(angles))
@@ -283,11 +280,11 @@ def _evidences(shared: _Shared, conditional: ConditionalPosterior) -> tuple[Arra
 
 
 def _starts(shared: _Shared, conditional: ConditionalPosterior) -> tuple[Array, Array]:
-    """Constants whose lists are most like the measured one, of every class (c, starts, n), and the misfit.
+    """Constants whose lists are most like the measured one, for every class (c, starts, n), and their misfit.
 
-    Stiffnesses that are all multiplied by a^2 multiply all frequencies by a: each draw of the library
-    counts with the factor that suits the list best too, where that leaves the bounds alone. Where modes
-    cross, optima are many, and the nearest draw is in the right one more often than a fixed start.
+    Multiplying all stiffnesses by a^2 multiplies all frequencies by a: each draw of the library is also tried
+    with the factor that suits the list best, if that stays within the bounds. If modes cross there are many
+    optima, and the nearest draw is in the right one more often than a fixed start.
     """
     parameters = conditional.template.model.parameters
     ratio = np.log(conditional.template.measurement.frequencies / shared.lists)

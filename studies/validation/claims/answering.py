@@ -1,10 +1,10 @@
-"""Answers of a diagnosis to the lists of a benchmark, one JSON line each; nothing is asked twice.
+"""Answer the lists of a benchmark with a diagnosis, one JSON line each and each list only once.
 
 python studies/validation/claims/answering.py LISTS.jsonl ANSWERS.jsonl [--only TEXT] [--limit N]
     [--minutes M] [--part K/N] [--record JSON]
 
-Needs nothing of this package but ``diagnose``, so that another version answers the same lists with
-PYTHONPATH set to its tree.
+Uses only ``diagnose`` of this package, so that another version can answer the same lists with PYTHONPATH set
+to its tree.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from typing import Any
 
 Record = dict[str, Any]
 
-# Hypotheses that a record keeps.
+# Number of hypotheses that a record keeps.
 _KEPT = 6
 _FAILURES = (ValueError, ArithmeticError, LookupError, RuntimeError, TypeError, AttributeError, MemoryError)
 
 
 def reduced(document: Record) -> Record:
-    """What the scores need of the JSON of ``cpam-bayes diagnose --json``.
+    """The parts of the JSON of ``cpam-bayes diagnose --json`` that the scores need.
 
-    constants : of the average over all hypotheses, or else of the extended model, or else of the plain one.
+    constants : averaged over all hypotheses, or else of the extended model, or else of the plain one.
     """
     fit = next(d for d in (document.get("averaged"), document.get("extended"), document.get("baseline")) if d)
     constants = fit.get("constants", fit)
@@ -52,7 +52,7 @@ def reduced(document: Record) -> Record:
 
 
 def answered(path: Path) -> dict[str, Record]:
-    """The answers that a file holds, by list; ValueError for a second answer to one."""
+    """Answers in a file, by list; raises ValueError for a second answer to one."""
     if not path.exists():
         return {}
     found: dict[str, Record] = {}
@@ -65,7 +65,7 @@ def answered(path: Path) -> dict[str, Record]:
 
 
 def asked(path: Path, only: str = "", limit: int | None = None) -> list[Record]:
-    """The lists of a file in their order; only : text that their names contain."""
+    """Lists of a file in their order; only : text that their names contain."""
     lines = path.read_text("utf-8").splitlines()
     every = [json.loads(line) for line in lines]
     chosen = [r for r in every if "file" in r and only in r["id"]]
@@ -81,9 +81,9 @@ def answer(
     provenance: Record | None = None,
     notify: Callable[[str], None] = lambda text: None,
 ) -> None:
-    """Answer what is not answered yet, as long as there is time; an error is an answer of its own.
+    """Answer the lists not yet answered, as long as there is time; an error is recorded as an answer.
 
-    provenance : is added to every answer
+    provenance : added to every answer
     """
     end = None if minutes is None else time.monotonic() + 60.0 * minutes
     done = answered(path)

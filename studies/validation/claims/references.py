@@ -1,13 +1,13 @@
-"""What a user would do instead of a diagnosis.
+"""Simple methods that a user might apply instead of a diagnosis.
 
-Simple methods take the residuals of the plain fit, linear in the constants about the truth, and name a
-cause: that of the mode that misfits most, the best by the Bayesian information criterion or by the
-likelihood, or the one or two of a sparse regression on the signatures (orthogonal matching pursuit). They
-have the signatures of the independent elements, shifts of ln f at a grid of sizes and places, solved at the
-reference constants, and those of a misread frequency and of a missed mode.
+The methods take the residuals of the plain fit, linear in the constants about the truth, and name a cause:
+that of the mode with the largest misfit, the best by the Bayesian information criterion or by the likelihood,
+or the one or two of a sparse regression on the signatures (orthogonal matching pursuit). They are given the
+signatures of the independent elements, shifts of ln f on a grid of sizes and places, solved at the reference
+constants, and those of a misread frequency and of a missed mode.
 
-Each says by one number, its statistic, how much better that is than nothing, and abstains below a threshold,
-which is chosen on other lists for a rate of wrong claims.
+Each reports one number, its statistic, that measures the improvement over no cause, and abstains below a
+threshold, which is chosen on other lists for a given rate of wrong claims.
 """
 
 from __future__ import annotations
@@ -43,18 +43,18 @@ Record = dict[str, Any]
 # Signatures
 
 MESH = 8
-# Sizes at which a signature is solved, in prior scales.
+# Sizes at which a signature is solved, in prior standard deviations.
 _SIZES = (0.3, 1.0, 3.0, 10.0)
 _PLACES = (0.06, 0.28, 0.5, 0.72, 0.94)
-# Half widths of a soft patch, of the sides.
+# Half widths of a soft patch, relative to the sides.
 _PATCH = 0.1
-# Sizes of the fine grid, in prior scales: 3 % apart, from where nothing shows to where priors end.
+# Sizes of the fine grid, in prior standard deviations: 3 % apart, from undetectable to the ends of priors.
 _FINE = np.exp(np.arange(np.log(0.02), np.log(40.0), 0.03))
 
 
 @dataclass(frozen=True, slots=True)
 class Signature:
-    """Shifts of ln f of a cause at one place: sizes (k,) ascending with 0, shift (k, n_modes)."""
+    """Shifts of ln f by a cause at one place: sizes (k,) ascending and including 0, shift (k, n_modes)."""
 
     cause: str
     place: int
@@ -75,7 +75,7 @@ class Signature:
 
 @dataclass(frozen=True, slots=True)
 class Dictionary:
-    """All signatures of a plate at its reference constants, with the modes that they are of."""
+    """All signatures of a plate at its reference constants, with the mode shapes."""
 
     plate: NominalPlate
     signatures: tuple[Signature, ...]
@@ -83,7 +83,7 @@ class Dictionary:
     inertia: Any
 
     def at(self, plate: TruePlate) -> tuple[Linear, NDArray[np.int64]]:
-        """The linear plate at other constants, and which reference mode each of its modes is."""
+        """The plate linearised at other constants, and the reference mode of each of its modes."""
         meshed = replace(plate, mesh=MESH)
         _, shapes = modes(meshed, self.shapes.shape[1])
         overlap = np.abs(self.shapes.T @ (self.inertia @ shapes))
@@ -94,7 +94,7 @@ class Dictionary:
 
 
 def dictionary_of(nominal: NominalPlate, causes: Collection[str] = tuple(FLAWS)) -> Dictionary:
-    """Solve the signatures of a plate, of all causes or of some."""
+    """Solve the signatures of a plate, of all causes or some."""
     bare = replace(nominal.plate, mesh=MESH)
     n = nominal.n_modes + FURTHER
     f, shapes = modes(bare, n)
@@ -112,7 +112,7 @@ def dictionary_of(nominal: NominalPlate, causes: Collection[str] = tuple(FLAWS))
 def signature_of(
     bare: TruePlate, cause: str, aux: Aux, ln_f: Array, place: int, size: float | None = None
 ) -> Signature:
-    """Shifts of a cause at one place; size : one more at which they are solved."""
+    """Shifts of a cause at one place; size : a further one at which they are solved."""
     flaw = FLAWS[cause]
     scale, most = flaw.scale(bare), flaw.most(bare)
     at = {min(s * scale, most) for s in _SIZES}
@@ -148,13 +148,13 @@ def _places(cause: str, plate: TruePlate) -> list[Aux]:
 
 
 def listed_hz(entry: Record) -> Array:
-    """The frequencies in a list's file."""
+    """Frequencies in a list's file."""
     text = next(line for line in entry["file"].splitlines() if line.startswith("frequencies_hz"))
     return np.array([float(t) for t in text.split("[")[1].rstrip("]").split(",")])
 
 
 class Plain:
-    """A list about the truth: ln f measured and true, and its slopes."""
+    """A list linearised about the truth: measured and true ln f, and its slopes."""
 
     def __init__(self, dictionary: Dictionary, entry: Record) -> None:
         truth = entry["truth"]
@@ -166,7 +166,7 @@ class Plain:
         self.modes = np.delete(np.arange(len(self.linear.ln_f)), missed)[: nominal.n_modes]
 
     def errors_of_list(self) -> dict[str, Array]:
-        """Shifts of ln f by a frequency misread by 1 %, and by a mode that the list lacks, for each mode."""
+        """Shifts of ln f by a frequency misread by 1 %, and by a mode missing in the list, for each mode."""
         n, ln_f = len(self.modes), self.linear.ln_f
         later = [np.delete(np.arange(len(ln_f)), k)[:n] for k in self.modes]
         return {"outlier": 0.01 * np.eye(n), "mode_identity": ln_f[later] - ln_f[self.modes]}
@@ -174,28 +174,28 @@ class Plain:
 
 # Simpler methods
 
-# Each with its statistic.
+# Methods and the units of their statistics.
 METHODS = {
     "largest_residual": "sd",
     "BIC": "difference",
     "likelihood_ratio": "of its 5 % point",
     "sparse_regression": "misfit explained",
 }
-# Repeatability that is assumed where a file states none.
+# Repeatability that is assumed if a file states none.
 _ASSUMED = 0.003
-# A second cause explains at least this much of what the first does.
+# Least improvement by a second cause, relative to that by the first.
 _SECOND = 0.5
-# Parameters of a cause: its size, its place, which frequency; of others their size alone.
+# Number of parameters of a cause (size, place, index of the frequency); one for all others.
 _FREE = {"sensor_mass": 3, "damage": 3, "outline": 3, "outlier": 2}
-# Sizes of a misread frequency, in per cent: 6 % apart.
+# Sizes of a misread frequency, per cent: 6 % apart.
 _MISREAD = np.exp(np.arange(np.log(0.02), np.log(40.0), 0.06))
 
 
 @dataclass(frozen=True, slots=True)
 class Whitened:
-    """Residuals of the plain fit and shifts of the causes, both less what the constants take up.
+    """Residuals of the plain fit and shifts of the causes, projected off the constants and whitened.
 
-    residual : (n,) in noise. atoms : by cause, its shifts over sizes and places (k, n); one : at one scale.
+    residual : (n,) in noise sd. atoms : by cause, shifts over sizes and places (k, n); one : at one scale.
     """
 
     residual: Array
@@ -204,12 +204,12 @@ class Whitened:
 
 
 def whitened(dictionary: Dictionary, entry: Record) -> Whitened:
-    """The list as the methods see it: constants at least squares, causes at a grid of sizes."""
+    """Whitened residuals and shifts of a list: constants at least squares, causes on a grid of sizes."""
     plain = Plain(dictionary, entry)
     noise = entry["truth"]["noise"] if entry["truth"]["stated"] else _ASSUMED
     slope = plain.linear.slope[plain.modes] / noise
     basis, values, _ = np.linalg.svd(slope, full_matrices=False)
-    # priors of the constants: what they hold firmly is not free
+    # priors of the constants: a constant that its prior determines is not free
     keep = basis * (values / np.sqrt(values**2 + 1.0))
     less = np.eye(len(plain.modes)) - keep @ keep.T
     residual = less @ (plain.measured - plain.linear.ln_f[plain.modes]) / noise
@@ -222,7 +222,7 @@ def whitened(dictionary: Dictionary, entry: Record) -> Whitened:
         one.setdefault(s.cause, []).append(seen[[int(np.argmin(np.abs(size - s.scale)))]])
     for cause, shifts in plain.errors_of_list().items():
         atoms[cause] = one[cause] = [shifts @ less / noise]
-    # a frequency is misread by any size
+    # a frequency may be misread by any amount
     atoms["outlier"] = [size * one["outlier"][0] for size in np.concatenate([-_MISREAD, _MISREAD])]
     return Whitened(
         residual,
@@ -232,13 +232,13 @@ def whitened(dictionary: Dictionary, entry: Record) -> Whitened:
 
 
 def answers(dictionary: Dictionary, entry: Record) -> dict[str, Record]:
-    """What each method names, with its statistic, in the keys of a diagnosis; they have no probability."""
+    """Answers of the methods, each with its statistic, in the keys of a diagnosis without a probability."""
     seen = whitened(dictionary, entry)
     found = (_largest_residual(seen), _criterion(seen), _likelihood_ratio(seen), _matching_pursuit(seen))
     return {method: _answer(*named) for method, named in zip(METHODS, found, strict=True)}
 
 
-# Causes, and how much better than nothing.
+# Causes, and the statistic of their improvement over none.
 _Named = tuple[list[str], float]
 
 
@@ -256,7 +256,7 @@ def _misfits(seen: Whitened) -> dict[str, float]:
 
 
 def _largest_residual(seen: Whitened) -> _Named:
-    """The cause that shifts this mode most beside the others; a misread frequency would always be it."""
+    """The cause that shifts the worst mode most relative to others; a misread frequency would always win."""
     i = int(np.argmax(np.abs(seen.residual)))
     part = {c: float(np.abs(a[:, i]).max()) for c, a in _directions(seen).items() if c != "outlier"}
     return [max(part, key=lambda c: part[c])], float(abs(seen.residual[i]))
@@ -297,7 +297,7 @@ def _matching_pursuit(seen: Whitened) -> _Named:
 
 
 def _directions(seen: Whitened) -> dict[str, Array]:
-    """Shifts by the causes at one scale, of length 1."""
+    """Shifts by the causes at one scale, normalised to length 1."""
     return {c: a / np.maximum(np.linalg.norm(a, axis=1), 1e-12)[:, None] for c, a in seen.one.items()}
 
 
@@ -309,10 +309,10 @@ def _free(cause: str) -> int:
 
 
 def threshold(records: Sequence[Scored], statistics: Mapping[str, float], rate: tuple[int, int]) -> Record:
-    """The least statistic from which a method may claim, and what it then claims of these lists.
+    """Least statistic from which a method may claim, and its claims on these lists.
 
-    records : its scores where it always claims. statistics : by list. rate : wrong claims that are allowed,
-    of how many lists; where the surest claims are wrong too often it always abstains, the threshold is None
+    records : scores if it always claims. statistics : by list. rate : (allowed wrong claims, number of
+    lists); if even the surest claims are wrong too often it always abstains, and the threshold is None
     """
     wrong, of = rate
     for least in sorted({statistics[r["id"]] for r in records}):
@@ -328,7 +328,7 @@ def _at(least: float | None, records: Sequence[Scored], claimed: Sequence[str]) 
 
 
 def abstaining(answers: Mapping[str, Record], least: float | None) -> dict[str, Record]:
-    """Answers of a method by list, "none" where its statistic is below its threshold; None: everywhere."""
+    """Answers of a method by list, "none" if its statistic is below its threshold; None: always."""
     nothing = {"claim": "none", "causes": []}
     return {
         name: answer if least is not None and answer["statistic"] >= least else {**answer, **nothing}

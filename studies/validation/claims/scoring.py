@@ -1,9 +1,9 @@
-"""Scores of claims against truths, and the figures that are made of them.
+"""Scores of claims against truths, and summary figures of the scores.
 
-A claim is right when it names the true cause, or a class that the true cause is a member of, or, of two true
-causes, both or one of them without another. A truth lists the few further names that mean the same physical
-thing on its plate (``accepted``). A smooth discrepancy is told by "other". Any claim on a clean list
-is wrong, and so is a pair with a cause that is not there.
+A claim is right if it names the true cause, or a class that contains the true cause, or, of two true causes,
+both or one of them alone. A truth lists the few other names of the same physical thing on its plate
+(``accepted``). A smooth discrepancy is rightly called "other". Any claim on a clean list is wrong, and so is
+a pair with a false cause.
 
 A cause above the detection limit that the answer states for it must be claimed, alone or in a class.
 """
@@ -33,20 +33,20 @@ RIGHT, WRONG, OTHER, UNDECIDED, NONE, MISSED, FAILED = CATEGORIES = (
     "missed",
     "error",
 )
-# Of a confusion, beside its counts.
+# Key in a confusion table, beside the counts.
 CLASS_SIZE = "mean class size"
-# Causes are claimed by these; "none" and "undecided" claim nothing.
+# Claims that name causes; "none" and "undecided" claim nothing.
 CLAIMS = ("named", "class", "pair")
-# Units of files over SI.
+# Units of files relative to SI.
 _UNIT = {"E1_GPa": ("E1", 1e9), "E2_GPa": ("E2", 1e9), "nu12": ("nu12", 1.0), "G12_GPa": ("G12", 1e9)}
 # Half width of a 95 % interval, in standard deviations.
 _NORMAL = 1.96
 
 
 def score(truth: Record, answer: Record) -> Scored:
-    """The category of an answer, the size of its class, and which constants lie in their intervals.
+    """Category of an answer, the size of its class, and which constants lie in their intervals.
 
-    right : whether the answer as a whole is the truth, clean lists and "other" included.
+    right : whether the whole answer agrees with the truth, including clean lists and "other".
     """
     causes, accepted = set(truth["causes"]), set(truth["accepted"])
     out: Scored = {
@@ -80,7 +80,7 @@ def score(truth: Record, answer: Record) -> Scored:
 def _is_true(claim: str, named: set[str], causes: set[str], accepted: set[str]) -> bool:
     known = causes | accepted
     if claim == "pair" and len(causes) == 1:
-        # one thing named twice, by two names that are both the thing itself
+        # one thing given two names, both of which are right
         return named <= known or (
             causes == {"soft_clamp"} and named == {"clamp_rotation", "clamp_translation"}
         )
@@ -104,7 +104,7 @@ def coverage_of(truth: Record, constants: Mapping[str, Mapping[str, float]]) -> 
 
 
 def scored(lists: Iterable[Record], answers: Mapping[str, Record]) -> list[Scored]:
-    """All lists that were answered."""
+    """Scores of all lists that were answered."""
     order = {name: place for place, name in enumerate(answers)}
     return [
         {
@@ -123,7 +123,7 @@ def scored(lists: Iterable[Record], answers: Mapping[str, Record]) -> list[Score
 
 # Detection limits
 
-# Units of limits over those of hidden sizes, which are SI and degrees.
+# Units of limits relative to those of hidden sizes, which are SI and degrees.
 OF_LIMIT = {
     "%": 1e2,
     "% of the area": 1e2,
@@ -135,15 +135,15 @@ OF_LIMIT = {
     "deg": 1.0,
     "": 1.0,
 }
-# What a limit states: the chance of a claim at this size, and of most larger ones.
+# Probability of a claim at the limit, and at larger sizes up to nearly one.
 LIMIT_CHANCE = (0.95, 1.0)
 ABOVE, BELOW = "errors above their stated limit, claimed", "errors below their stated limit, claimed"
 
 
 def above_limit(entry: Record, answer: Record) -> bool | None:
-    """Whether the one cause that a list hides is as large as the limit that the answer states for it.
+    """Whether the single hidden cause of a list is at least as large as the answer's stated detection limit.
 
-    Where it states that no size is seen, none is above. None: the cause has no size or no limit, or there
+    False if the answer states that no size is detectable. None: the cause has no size or no limit, or there
     are two.
     """
     size = hidden_size(entry)
@@ -155,7 +155,7 @@ def above_limit(entry: Record, answer: Record) -> bool | None:
 
 
 def hidden_size(entry: Record) -> float | None:
-    """The size of the one cause that a list hides as limits measure it, SI and degrees; None: see above."""
+    """Size of the single hidden cause of a list, in the measure of limits, SI and degrees; None as above."""
     truth = entry["truth"]
     if len(truth["causes"]) != 1:
         return None
@@ -168,7 +168,7 @@ def hidden_size(entry: Record) -> float | None:
 
 
 def _mass(file: str) -> float:
-    """Of the plate as its file states it, kg."""
+    """Mass of the plate as stated in its file, kg."""
     plate = tomllib.loads(file)["plate"]
     if "mass_g" in plate:
         return float(plate["mass_g"]) / 1e3
@@ -178,7 +178,7 @@ def _mass(file: str) -> float:
 
 
 def confusion(records: Sequence[Scored], by: Callable[[Scored], str]) -> list[Record]:
-    """Counts of categories by a feature of the lists, with the mean size of the classes claimed rightly."""
+    """Counts of categories by a feature of the lists, with the mean size of the classes rightly claimed."""
     cells: dict[str, list[Scored]] = defaultdict(list)
     for r in records:
         cells[by(r)].append(r)
@@ -200,7 +200,7 @@ def confusion(records: Sequence[Scored], by: Callable[[Scored], str]) -> list[Re
 
 
 def honesty(records: Sequence[Scored], claims: Sequence[str]) -> Record:
-    """Mean stated probability of claims that state one, less how often they are right, with its error."""
+    """Mean stated probability of claims that state one, minus the fraction that is right, with its error."""
     chosen = [r for r in records if r.get("claim") in claims and r["probability"] is not None]
     if not chosen:
         return {"lists": 0, "difference": None, "standard_error": None}
@@ -214,7 +214,7 @@ def honesty(records: Sequence[Scored], claims: Sequence[str]) -> Record:
 
 
 def coverage(records: Sequence[Scored], which: str = "inside") -> Record:
-    """Share of true constants in their 95 % intervals, its standard error over lists, and by constant."""
+    """Fraction of true constants in their 95 % intervals, its standard error over lists, and by constant."""
     each = [list(r[which].values()) for r in records if r.get(which)]
     by_name: dict[str, list[bool]] = defaultdict(list)
     for r in records:
@@ -224,7 +224,7 @@ def coverage(records: Sequence[Scored], which: str = "inside") -> Record:
     if each:
         inside, number = (np.array([f(v) for v in each], dtype=float) for f in (sum, len))
         share = float(inside.sum() / number.sum())
-        # of one constant more that is outside, where none is
+        # as if one more constant were outside, so that the error is never zero
         scatter = np.sum((inside - share * number) ** 2) + 0.25
         error = float(np.sqrt(scatter) / number.sum())
     return {
@@ -236,21 +236,21 @@ def coverage(records: Sequence[Scored], which: str = "inside") -> Record:
 
 
 def interval(successes: int, n: int) -> tuple[float, float]:
-    """The exact 95 % interval of a share (Clopper and Pearson, Biometrika 26, 1934)."""
+    """Exact 95 % interval of a binomial proportion (Clopper and Pearson, Biometrika 26, 1934)."""
     low, high = binomtest(successes, n).proportion_ci(0.95, "exact")
     return float(low), float(high)
 
 
 # Figures of a set of lists
 
-# Signal to noise from which a cause should be found.
+# Signal to noise above which a cause should be found.
 _STRONG = 8.0
 STRONG = "claimed and right, signal to noise 8 and above"
-# Signal to noise that parts what is missed: noise hides it, weak, and strong.
+# Signal-to-noise limits between missed causes hidden by noise, weak and strong ones.
 _BANDS = (1.0, _STRONG)
 # Groups of lists by the first part of their names.
 HEADLINE, STRESS, BRICKS = "drawn from priors", "by signal to noise", "bricks"
-# Figures that are told by themselves.
+# Figures that are reported individually.
 TOO_SURE = "stated probability of a claim, less how often it is right"
 COVERED, COVERED_OF_BRICKS = (
     "constants in their 95 % intervals",
@@ -271,17 +271,17 @@ GROUPS = {
     "former": "what misled earlier versions",
     "strength": STRESS,
 }
-# Groups of lists whose names say what is hidden between the first and the last part.
+# Groups of lists whose names describe the hidden error between the first and the last part.
 OF_PATTERNS = (GROUPS["beyond"], GROUPS["former"])
 
 
 def group_of(r: Scored) -> str:
-    """The group of lists that a list belongs to."""
+    """Group that a list belongs to."""
     return GROUPS[str(r["id"]).split("-")[0]]
 
 
 def summary(records: Sequence[Scored]) -> Record:
-    """Everything that is said of one engine's answers to one set."""
+    """Complete summary of one engine's answers to one set."""
     return {
         "lists": len(records),
         "by_kind": confusion(records, kind_of),
@@ -305,7 +305,7 @@ def summary(records: Sequence[Scored]) -> Record:
 
 
 def by_pattern(records: Sequence[Scored]) -> list[Record]:
-    """Claims and constants in their 95 % intervals, by what no cause is and what misled earlier versions."""
+    """Claims and covered constants by error that is outside the catalogue or misled earlier versions."""
     cells: dict[tuple[str, str], list[Scored]] = defaultdict(list)
     for r in records:
         if group_of(r) in OF_PATTERNS:
@@ -326,7 +326,7 @@ def by_pattern(records: Sequence[Scored]) -> list[Record]:
 
 
 def by_engine(records: Sequence[Scored]) -> list[Record]:
-    """The states of the code that answered, in the order of their first answers, each with its own figures.
+    """States of the code that answered, in the order of their first answers, each with its own figures.
 
     dirty : answers given while files of the code differed from the commit
     """
@@ -347,9 +347,9 @@ def by_engine(records: Sequence[Scored]) -> list[Record]:
 
 
 def misled(records: Sequence[Scored]) -> list[Record]:
-    """The ways in which claims mislead, the commonest first: how often, of how many lists, by which causes.
+    """Ways in which claims mislead, the commonest first: how often, among how many lists, for which causes.
 
-    An error that is there and is not claimed, by its signal to noise, or another cause claimed.
+    Either an existing error is not claimed, by its signal to noise, or another cause is claimed.
     """
     bands = [
         ("missed", MISSED, low, high) for low, high in zip((0.0, *_BANDS), (*_BANDS, np.inf), strict=True)
@@ -376,7 +376,7 @@ def _groups(records: Sequence[Scored]) -> list[str]:
 
 
 def figures(records: Sequence[Scored]) -> list[Record]:
-    """The figures that are predicted, then further ones: what, value, 95 % interval, number of lists."""
+    """The predicted figures, then further ones: name, value, 95 % interval, number of lists."""
     drawn = [r for r in records if group_of(r) == HEADLINE]
     bricks = [r for r in records if group_of(r) == BRICKS]
     elements = [r for r in records if group_of(r) != BRICKS]
@@ -403,7 +403,7 @@ def figures(records: Sequence[Scored]) -> list[Record]:
 
 
 def kind_of(r: Scored) -> str:
-    """What a list holds, for tables."""
+    """Kind of error in a list, for tables."""
     name = str(r["id"]).split("-")
     said = {
         "clean": "nothing",
@@ -416,12 +416,12 @@ def kind_of(r: Scored) -> str:
 
 
 def ratio_of(r: Scored) -> str:
-    """The signal to noise of a list as text that sorts."""
+    """Signal to noise of a list as text that sorts."""
     return f"{r['ratio']:3.0f}"
 
 
 def _strength(r: Scored) -> float:
-    """Signal to noise of a list; what is no shift, a mode missed, or was not measured, counts as strong."""
+    """Signal to noise of a list; an unmeasured one, or a missed mode, which is no shift, counts as strong."""
     return _ratio(r) * 1.001
 
 
@@ -431,7 +431,7 @@ def _ratio(r: Scored) -> float:
 
 
 def number_of(scores: Record, category: str) -> int:
-    """How many lists of a summary have a category."""
+    """Number of lists of a summary in a category."""
     return sum(int(row[category]) for row in scores["by_kind"])
 
 

@@ -1,7 +1,7 @@
-"""The seal of a set: its code is committed, its seed is drawn, its lists are made once and answered once.
+"""The seal of a set: its code is committed, its seed drawn, its lists made once and answered once.
 
-The file of the seal holds the commit of the code, the seed with its date, what was predicted before the seed
-was drawn, and the SHA-256 of the lists.
+The file of the seal holds the commit of the code, the seed with its date, the predictions made before the
+seed was drawn, and the SHA-256 of the lists.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 
 Record = dict[str, Any]
 
-# What is predicted of the sealed set: the claim, its least and its greatest value.
+# Predictions for the sealed set: the figure, its least and its greatest value.
 PREDICTIONS: dict[str, tuple[float, float]] = {
     "constants in their 95 % intervals": (0.93, 0.97),
     "wrong claims": (0.0, 0.01),
@@ -27,7 +27,7 @@ PREDICTIONS: dict[str, tuple[float, float]] = {
 
 
 class SealError(ValueError):
-    """A set that is sealed already, or lists and answers that are not those of the seal."""
+    """A set that is already sealed, or lists and answers that do not belong to the seal."""
 
 
 def provenance(tree: Path) -> Record:
@@ -43,7 +43,7 @@ def provenance(tree: Path) -> Record:
 def draw(path: Path, tree: Path) -> Record:
     """Draw the seed of a set and write its seal.
 
-    Raises SealError where there is one, or where the code is not committed.
+    Raises SealError if there is one already, or if the code is not committed.
     """
     if path.exists():
         raise SealError(f"{path.name}: the set is sealed")
@@ -62,7 +62,7 @@ def draw(path: Path, tree: Path) -> Record:
 
 
 def close(path: Path, lists: Path) -> None:
-    """Write the SHA-256 of the lists into their seal; SealError where it holds another."""
+    """Write the SHA-256 of the lists into their seal; raises SealError if it holds another."""
     seal, digest = json.loads(path.read_text("utf-8")), _digest(lists)
     if seal.setdefault("lists_sha256", digest) != digest:
         raise SealError(f"{lists.name}: not the lists that were sealed")
@@ -70,7 +70,7 @@ def close(path: Path, lists: Path) -> None:
 
 
 def require_closed(path: Path, lists: Path) -> Record:
-    """The seal of lists, SealError where they are not those that it is of."""
+    """The seal of the lists; raises SealError if they are not the sealed ones."""
     seal: Record = json.loads(path.read_text("utf-8"))
     if seal.get("lists_sha256") != _digest(lists):
         raise SealError(f"{lists.name}: not the lists that were sealed")

@@ -1,7 +1,7 @@
-"""The sets of the claims benchmark: one to develop on, and one whose seed was drawn when all else stood.
+"""Sets of the claims benchmark: one for development, and one whose seed was drawn when all else was fixed.
 
-Both have the same kinds of lists, each of a plate of its own. A list depends on the seed of its set and on
-its name alone. The order is random, so that any first part of a set is a fair sample of it.
+Both have the same kinds of lists, each of a plate of its own. A list depends only on the seed of its set and
+on its name. The order is random, so that any first part of a set is a fair sample of it.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from validation.independent import drawn
 from validation.independent.lists import NominalPlate, Truth, UnreachableError
 from validation.independent.true_plate import TruePlate
 
-# Plates that a list is tried on until what is wrong can be there.
+# Number of plates tried for a list until one can have the error.
 _CANDIDATES = 6
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """One list to be made: its name, which plates will do, and how."""
+    """A list to be made: its name, the condition on the plate, and its maker."""
 
     name: str
     on: Callable[[TruePlate], bool]
     make: Callable[[NominalPlate, np.random.Generator], tuple[str, Truth]]
 
     def candidates(self, seed: int) -> tuple[NominalPlate, ...]:
-        """Plates of a set; the list is of the first on which it can be."""
+        """Plates of a set, of which the first that can have the error is used."""
         rng = np.random.default_rng([seed, zlib.crc32(self.name.encode()), 1])
         return tuple(drawn.plate(rng, self.on) for _ in range(_CANDIDATES))
 
@@ -41,7 +41,7 @@ PLANS = {plan[0]: Plan(*plan) for plan in (*drawn.plans(), *brick_lists.plans())
 
 
 def ordered(seed: int) -> list[str]:
-    """The names of all lists of a set in its order."""
+    """Names of all lists of a set in its order."""
     names = list(PLANS)
     return [names[i] for i in np.random.default_rng(seed).permutation(len(names))]
 
@@ -52,7 +52,7 @@ def made(seed: int, name: str) -> dict[str, Any]:
 
 
 def made_of(plan: Plan, seed: int) -> dict[str, Any]:
-    """A list with its truth, and which of its candidates it is of; why there is none where none will do."""
+    """A list with its truth and the index of its plate; the reason why not if no candidate will do."""
     why = ""
     for k, nominal in enumerate(plan.candidates(seed)):
         rng = np.random.default_rng([seed, zlib.crc32(plan.name.encode()), 2, k])
@@ -66,7 +66,7 @@ def made_of(plan: Plan, seed: int) -> dict[str, Any]:
 
 
 def line_of(record: dict[str, Any]) -> str:
-    """A record as a line of JSON, numbers in six digits."""
+    """A record as a line of JSON, with numbers of six digits."""
     return json.dumps(_short(record), allow_nan=False) + "\n"
 
 

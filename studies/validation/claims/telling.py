@@ -1,4 +1,4 @@
-"""What pages say of the scores of claims, in Markdown."""
+"""Text of the pages on the scores of claims, in Markdown."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from validation.reporting import listed, markdown_table, paragraph
 
 Record = dict[str, Any]
 
-# Names of a wrong claim that are told in short.
+# Number of names of a wrong claim that the short text gives.
 _NAMED = 2
 
 
@@ -33,9 +33,9 @@ def section(
     beside: Sequence[str] = (),
     seal: Record | None = None,
 ) -> str:
-    """A set: figures beside what was predicted, other methods, what was claimed, wrong claims.
+    """Section on a set: figures beside the predictions, other methods, claims, wrong claims.
 
-    engines : of `scoring.by_engine`. beside : the lines of `compared`
+    engines : from `scoring.by_engine`. beside : the lines of `compared`
     """
     n = scores["lists"]
     lines = [f"All {n} lists answered." if n == total else f"{n} of {total} lists answered, in random order."]
@@ -49,14 +49,14 @@ def section(
     lines += ["", *answered_by(engines), "", _confusion_table("what is hidden", others)]
     if scores["by_ratio"]:
         lines += ["", _confusion_table("signal to noise of one cause", scores["by_ratio"])]
-    # those that misled earlier versions were drawn again and more often, in study 30
+    # lists like those that misled earlier versions were drawn again and more often, in study 30
     unknown = [row for row in scores["by_pattern"] if row["of"] == GROUPS["beyond"]]
     if unknown:
         lines += ["", pattern_table("outside the catalogue", unknown)]
     lines += beside
     if scores["misled"]:
         ways = (f"{row['way']}{_between(row)} {row['number']} of {row['of']}" for row in scores["misled"])
-        lines += ["", f"Misled, by signal to noise: {'; '.join(ways)}."]
+        lines += ["", f"How it was misled, by signal to noise: {'; '.join(ways)}."]
     if scores["wrong"]:
         lines += ["", "Wrong claims:", "", _wrong_claims(scores["wrong"])]
     return "\n".join([*lines, ""])
@@ -78,12 +78,12 @@ def _figure(row: Record, predicted: Sequence[float] | None) -> tuple[str, ...]:
 
 
 def answered_by(engines: Sequence[Record]) -> list[str]:
-    """Which states of the code answered, and how each fared."""
+    """Lines on the states of the code that answered, and the scores of each."""
     lines = []
     if len(engines) > 1:
         said = (
-            f"The code was changed after answers had been seen: {len(engines)} states of it answered, each "
-            "list once. Above all together, here each alone."
+            f"The code was changed after answers had been seen: {len(engines)} versions answered, each list "
+            "once. Above: all together; here: each version."
         )
         lines += [paragraph(said), ""]
     head = (
@@ -104,15 +104,16 @@ def _engine(engine: Record) -> tuple[str, ...]:
 
 
 def compared(beside: Record, tuned: Record, names: Mapping[str, str]) -> list[str]:
-    """Lines about other methods beside the diagnosis, on the lists that all answered.
+    """Lines on other methods beside the diagnosis, on the lists that all answered.
 
-    beside : the number of lists, figures and confusion by engine. tuned : the rate and the thresholds.
+    beside : number of lists, figures and confusion by engine. tuned : the rate and the thresholds.
     """
     wrong, of = tuned["rate"]
     said = (
-        f"Simple methods on the {beside['lists']} lists that all answered. They have the true constants and "
-        "the truths' own elements, which favours them. Each claims from a threshold on, the least at which "
-        f"its rate of wrong claims on development lists is at most the diagnosis's ({wrong} of {of})."
+        f"Simple methods on the {beside['lists']} lists that all answered. They are given the true constants "
+        "and signatures from the truths' own elements, which favours them. Each claims above a threshold, "
+        "the lowest at which its rate of wrong claims on development lists is at most that of the diagnosis "
+        f"({wrong} of {of})."
     )
     head = ("", "threshold", "development: right, wrong, lists", "right", "wrong")
     rows = [_method(engine, scores, tuned, names) for engine, scores in beside["engines"].items()]
@@ -121,11 +122,11 @@ def compared(beside: Record, tuned: Record, names: Mapping[str, str]) -> list[st
 
 
 def _unequal(beside: Record) -> str:
-    """That the methods do not claim wrongly as often as the diagnosis."""
+    """Sentence saying that the methods do not claim wrongly as often as the diagnosis."""
     engines = beside["engines"]
     ours, *others = (scoring.number_of(scores, WRONG) for scores in engines.values())
     between = f"{min(others)} to {max(others)}" if min(others) < max(others) else str(min(others))
-    return f"Here the rates differ: {ours} wrong by the diagnosis, {between} by the others."
+    return f"On these lists the rates differ: {ours} wrong claims by the diagnosis, {between} by the others."
 
 
 def _method(engine: str, scores: Record, tuned: Record, names: Mapping[str, str]) -> tuple[str, ...]:
@@ -140,9 +141,9 @@ def _method(engine: str, scores: Record, tuned: Record, names: Mapping[str, str]
 
 
 def in_short(total: int, scores: Record, seal: Record, states: int = 1) -> str:
-    """A list of two points: elements and bricks, and the commonest ways to be misled.
+    """A list of two items: results on elements and bricks, and the commonest ways to be misled.
 
-    states : of the code, that answered
+    states : number of states of the code that answered
     """
     n = int(scores["lists"])
     answered = f"all {n}" if n == total else f"{n} of {total}"
@@ -151,16 +152,16 @@ def in_short(total: int, scores: Record, seal: Record, states: int = 1) -> str:
     )
     too_sure = scoring.figure_of(scores, scoring.TOO_SURE)
     low, high = too_sure["interval"]
-    by = f", by {states} versions of the code" if states > 1 else ""
+    by = f", by {states} code versions" if states > 1 else ""
     said = (
         f"**Blind test** ([simulated lists](docs/hidden_effects.md), {answered} answered{by}): 95 % "
-        f"intervals hold {_share(scores, scoring.COVERED)} constants of lists from priors ({least:.0f} to "
-        f"{most:.0f} predicted), {_share(scores, scoring.COVERED_OF_BRICKS)} of bricks; "
+        f"intervals contain {_share(scores, scoring.COVERED)} constants drawn from priors ({least:.0f} to "
+        f"{most:.0f} % predicted), {_share(scores, scoring.COVERED_OF_BRICKS)} from bricks; "
         f"{_counted(scores, scoring.WRONG_CLAIMS)} claims are wrong (at most {wrong:.0f} % predicted). "
         f"Stated probabilities are {too_sure['value']:.2f} ({low:.2f} to {high:.2f}) too high."
     )
     ways = "; ".join(_way(row, scores["wrong"]) for row in scores["misled"][:3])
-    return "\n".join(paragraph(point, "- ") for point in (said, f"**Misled by** {ways}."))
+    return "\n".join(paragraph(point, "- ") for point in (said, f"**Failures**: {ways}."))
 
 
 def _share(scores: Record, what: str) -> str:
@@ -178,10 +179,10 @@ def _way(row: Record, wrong: Sequence[Record]) -> str:
     if row["way"] != scoring.MISSED:
         kinds = Counter((tuple(w["causes"]), tuple(w["claimed"])) for w in wrong)
         (kind, _), *others = kinds.most_common()
-        return f"{row['way']} ({counted}{', as' if others else ':'} {_called(*kind)})"
+        return f"{row['way']} ({counted}{', e.g.' if others else ':'} {_called(*kind)})"
     if not row["from"]:
         return (
-            f"errors that noise or constants hide (signal to noise below {row['below']:g}: {counted} missed)"
+            f"errors hidden by noise or constants (signal to noise below {row['below']:g}: {counted} missed)"
         )
     if row["below"]:
         return f"weak errors ({row['from']:g} to {row['below']:g}: {counted} missed)"
@@ -196,12 +197,12 @@ def _called(hidden: Sequence[str], claimed: Sequence[str]) -> str:
 
 def _between(row: Record) -> str:
     if row["way"] != scoring.MISSED:
-        return ""
-    return f", {row['from']:g} to {row['below']:g}:" if row["below"] else f", from {row['from']:g}:"
+        return ","
+    return f" from {row['from']:g} to {row['below']:g}," if row["below"] else f" from {row['from']:g},"
 
 
 def _coverage_table(coverage: Mapping[str, Record]) -> str:
-    """Shares of constants in their 95 % intervals by kinds of lists, and by constant."""
+    """Table of the fractions of constants in their 95 % intervals, by kind of list and by constant."""
     kinds = {name: row for name, row in coverage.items() if row["constants"]}
     names = sorted({name for row in kinds.values() for name in row["by_constant"]})
     rows = [
@@ -245,7 +246,7 @@ def _confusion_table(what: str, rows: Sequence[Record]) -> str:
 
 
 def pattern_table(what: str, rows: Sequence[Record]) -> str:
-    """Claims by pattern: right, of an unknown error too, missed, wrong, and the others, which are open."""
+    """Table of claims by pattern: right (unknown errors included), open, missed, wrong; constants covered."""
     return markdown_table(
         (what, "right/open/missed/wrong", "constants held"),
         [

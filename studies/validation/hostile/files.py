@@ -1,4 +1,4 @@
-"""Plate files and layups that no user means, inputs out of pieces of others, damage to stored files."""
+"""Nonsensical plate files and layups, inputs spliced from others, and damage to stored files."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ _VALUES: Final = st.recursive(
 
 @st.composite
 def plate_texts(draw: st.DrawFn) -> str:
-    """The text of a plate file with one to four lines changed, or of no plate file at all."""
+    """Text of a plate file with one to four lines changed, or of no plate file at all."""
     lines = list(_LINES)
     for _ in range(draw(st.integers(1, 4))):
         if not lines:
@@ -132,7 +132,7 @@ LARGE_FILES: Final[Mapping[str, str]] = {
     "a long line of escapes": 'a = "' + "\\u0041" * 40_000 + '"',
     "brackets": "a = " + "[" * 200_000,
 }
-"""Texts as large as a plate file may be, by what they are full of."""
+"""Texts of the maximum size of a plate file, by their content."""
 
 
 # Layups
@@ -159,7 +159,7 @@ _ENDS: Final = st.sampled_from(("]", "]_s", "]s", "]_2s", "]_T", "]_99999999999s
 
 
 def layups() -> st.SearchStrategy[str]:
-    """Layups of the notation, most of them wrong somewhere, and texts of its characters."""
+    """Layups in the notation, most of them wrong somewhere, and texts of its characters."""
     return st.one_of(
         st.tuples(st.just("["), _GROUPS, _ENDS).map("".join),
         st.text(alphabet="[]()/_0123456789.?+-±∓sST ", max_size=60),
@@ -167,23 +167,23 @@ def layups() -> st.SearchStrategy[str]:
     )
 
 
-# Inputs out of pieces of two others
+# Inputs spliced from two others
 
 Content = TypeVar("Content", str, bytes)
 
 
 def crossed(one: Content, other: Content, rng: np.random.Generator) -> Content:
-    """The content of one with a piece of the other in it, or with a piece dropped, repeated or moved.
+    """The first content with a piece of the second inserted, or with a piece dropped, repeated or moved.
 
     Pieces are whole lines in half of the cases. The result is at most twice as long as its longer parent.
     """
     by_lines = bool(rng.integers(2))
     start, stop = _piece(one, rng, by_lines)
     how = rng.integers(5)
-    if how == 0:  # a piece of the other in place of one
+    if how == 0:  # replace a piece by one of the other
         first, last = _piece(other, rng, by_lines)
         return one[:start] + other[first:last] + one[stop:]
-    if how == 1:  # the head of one and the tail of the other
+    if how == 1:  # join the head of one to the tail of the other
         return one[:stop] + other[_piece(other, rng, by_lines)[0] :]
     if how == 2:
         return one[:start] + one[stop:]
@@ -194,7 +194,7 @@ def crossed(one: Content, other: Content, rng: np.random.Generator) -> Content:
 
 
 def _piece(content: Content, rng: np.random.Generator, by_lines: bool) -> tuple[int, int]:
-    """Where a piece begins and ends."""
+    """Start and end of a piece."""
     start, stop = sorted(rng.integers(len(content) + 1, size=2).tolist())
     if not by_lines:
         return start, min(stop, start + int(rng.integers(1, 40)))
@@ -238,4 +238,4 @@ DAMAGES: Final[Mapping[str, Callable[[bytes, np.random.Generator], bytes]]] = {
     "a piece moved": _moved,
     "bytes appended": _longer,
 }
-"""What may happen to the arrays of a stored file, by name."""
+"""Kinds of damage to the arrays of a stored file, by name."""

@@ -1,4 +1,4 @@
-"""Tables, universal files and recorded hits that no instrument writes."""
+"""Tables, universal files and recorded hits such as no instrument writes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SEPARATORS: Final = st.sampled_from((",", ";", "\t", "|", " ", ", "))
 
 @st.composite
 def mode_tables(draw: st.DrawFn) -> str:
-    """The text of a table of modes, most of them wrong somewhere, or of no table at all."""
+    """Text of a table of modes, wrong somewhere in most cases, or of no table at all."""
     if draw(st.integers(0, 9)) == 0:
         return draw(st.text(max_size=300))
     separator = draw(_SEPARATORS)
@@ -56,7 +56,7 @@ _VALUES: Final = st.one_of(
 
 @st.composite
 def response_tables(draw: st.DrawFn) -> str:
-    """The text of a table of frequency responses with some cells changed, or of no table at all."""
+    """Text of a table of frequency responses with some cells changed, or of no table at all."""
     if draw(st.integers(0, 19)) == 0:
         return draw(st.text(max_size=300))
     separator = draw(_SEPARATORS)
@@ -84,7 +84,7 @@ LARGE_TABLES: Final[Mapping[str, Callable[[int], bytes]]] = {
     "rows": lambda size: b"hz,re,im\n" + b"".join(b"%d,%d.00,0\n" % (i, i % 9) for i in range(size // 15)),
     "rows of long cells": lambda size: b"hz,re,im\n" + (b"1" * 5000 + b",1,1\n") * (size // 5005),
 }
-"""Tables of responses of about a size, bytes, by what they are full of."""
+"""Tables of responses of about a given size in bytes, by their content."""
 
 
 # Universal files
@@ -170,7 +170,7 @@ def _changed(draw: st.DrawFn, good: tuple[str, ...]) -> bytes:
             st.sampled_from(("field", "field", "field", "wide", "drop", "repeat", "cut", "swap", "other"))
         )
         start = draw(st.integers(0, max(len(lines[place]) - 1, 0)))
-        if how == "field":  # the columns after it stay where they are
+        if how == "field":  # the columns after it stay in place
             width = draw(st.sampled_from((6, 10, 13, 20)))
             start -= start % width
             line = lines[place]
@@ -194,7 +194,7 @@ def _changed(draw: st.DrawFn, good: tuple[str, ...]) -> bytes:
 
 @st.composite
 def _flipped(draw: st.DrawFn, good: bytes) -> bytes:
-    """A binary file with some bytes changed, most of them in its heads, or cut off."""
+    """A binary file with some bytes changed, most of them in its headers, or truncated."""
     content = bytearray(good)
     for _ in range(draw(st.integers(1, 6))):
         most = draw(st.sampled_from((200, 1100, len(content))))
@@ -244,7 +244,7 @@ LARGE_UNIVERSAL_FILES: Final[Mapping[str, Callable[[int], bytes]]] = {
     ),
     "zeros": bytes,
 }
-"""Universal files of about a size, bytes, by what they are full of."""
+"""Universal files of about a given size in bytes, by their content."""
 
 
 # Recorded hits
@@ -253,7 +253,7 @@ _RATE: Final = 2000
 
 
 def _good(kind: type[np.generic], scale: float) -> bytes:
-    """Force and response of one hit, 0.3 s."""
+    """Force and response of one hit, 0.3 s, as a .wav file."""
     t = np.arange(600) / _RATE
     signals = np.stack((np.exp(-2e6 * (t - 0.01) ** 2), np.exp(-20.0 * t) * np.sin(950.0 * t)), axis=1)
     file = io.BytesIO()
@@ -262,7 +262,7 @@ def _good(kind: type[np.generic], scale: float) -> bytes:
 
 
 _FILES: Final = (_good(np.int16, 3e4), _good(np.float32, 1.0), _good(np.int32, 2e9))
-# Fields of the head and their formats: sizes, codec, channels, rate, bytes a second and a frame, bits.
+# Fields of the header and their formats: sizes, codec, channels, rate, bytes per second and frame, bits.
 _HEAD_FIELDS: Final = tuple(
     (place, "<I" if place in (4, 16, 24, 28, 40) else "<H") for place in (4, 16, 20, 22, 24, 28, 32, 34, 40)
 )
@@ -270,7 +270,7 @@ _HEAD_FIELDS: Final = tuple(
 
 @st.composite
 def recordings(draw: st.DrawFn) -> bytes:
-    """Files of two channels with fields of their heads or some samples changed, or no .wav file at all."""
+    """Two-channel files with some header fields or samples changed, or no .wav file at all."""
     if draw(st.integers(0, 19)) == 0:
         return draw(st.binary(max_size=200))
     content = bytearray(draw(st.sampled_from(_FILES)))

@@ -1,9 +1,9 @@
-"""Plates and lists drawn from priors: sizes, materials, noise, lengths of lists, and what is wrong.
+"""Plates and lists drawn from priors: sizes, materials, noise, lengths of lists, and the hidden error.
 
-Every list is of a plate of its own. Sizes, density or weight are off what the file states as a gauge, a
-balance and a data sheet are; frequencies are off those of the elements as three dimensions are, by the bias
-that bricks showed of the most similar plate (`studies/16_theory_error.py`). Beside causes of the catalogue
-there are forms that they do not have, combinations that misled earlier versions, and what no cause is.
+Every list is of a plate of its own. Sizes, density or weight deviate from what the file states as much as a
+gauge, a balance and a data sheet do; frequencies deviate from those of the elements as three dimensions do,
+by the bias found with bricks for the most similar plate (`studies/16_theory_error.py`). Beside causes of the
+catalogue there are real forms of them, combinations that misled earlier versions, and other errors.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ Maker = Callable[[NominalPlate, np.random.Generator], Made]
 
 BIASES = Path(__file__).parents[2] / "results" / "16_theory_error.json"
 
-# Lists of each kind.
+# Number of lists of each kind.
 CLEAN, ONE, TWO, OF_LIST, BEYOND, FORMER, BY_STRENGTH = 40, 70, 16, 14, 6, 4, 2
-# Signal to noise of the stress set.
+# Signal-to-noise ratios of the stress set.
 STRENGTHS = (4.0, 8.0, 16.0, 32.0, 100.0)
-# Files that state the repeatability, [material.sd], the mass instead of the density.
+# Fractions of files that state the repeatability, [material.sd], the mass instead of the density.
 _STATED, _KNOWN, _WEIGHED = 2 / 3, 1 / 2, 1 / 2
 
 # Plates
@@ -48,7 +48,7 @@ _STATED, _KNOWN, _WEIGHED = 2 / 3, 1 / 2, 1 / 2
 _SIDE, _ASPECT, _SLENDER = (0.15, 0.36), (0.55, 0.95), (40.0, 130.0)
 _NOISE, _MODES = (5e-4, 1e-2), (6, 14)
 _EDGES = ("FFFF",) * 6 + ("CFFF",) * 3 + ("CFCF", "SSSS")
-# Relative standard deviation of the moduli of a file about those of their kind.
+# Relative standard deviation of the moduli of a file about those of their material.
 _OTHER_BATCH = 0.08
 # Constants, Pa, and density, kg/m3.
 _MATERIALS: dict[str, tuple[dict[str, float], float]] = {
@@ -70,7 +70,7 @@ _LAYUPS = {
 
 
 def plate(rng: np.random.Generator, on: Callable[[TruePlate], bool]) -> NominalPlate:
-    """A plate that a laboratory might test, as its file describes it; on : which plates will do."""
+    """A plate that a laboratory might test, as its file describes it; on : condition on the plate."""
     while True:
         kind = str(rng.choice(_KINDS))
         usual, density = _MATERIALS[kind]
@@ -110,7 +110,7 @@ def _six(value: float) -> float:
 
 @cache
 def _measured_biases() -> tuple[tuple[bool, tuple[bool, bool], float, float, Array], ...]:
-    """Of each measured plate: whether it is held, which angles it has, slenderness, E1/G13, and the bias."""
+    """For each plate solved with bricks: clamped or not, kinds of angles, slenderness, E1/G13, and bias."""
     cases = json.loads(BIASES.read_text("utf-8"))["cases"]
     return tuple(
         (
@@ -125,9 +125,9 @@ def _measured_biases() -> tuple[tuple[bool, tuple[bool, bool], float, float, Arr
 
 
 def bias(true: TruePlate, n_modes: int) -> tuple[float, ...]:
-    """By how much three dimensions differ from first-order theory, ln f, as of the most similar bricks.
+    """Difference of ln f between three dimensions and first-order theory, taken from the most similar bricks.
 
-    Modes beyond theirs are off as their last. Supports were not measured: none.
+    Modes beyond theirs get the value of their last. Supports were not computed: zero.
     """
     if "S" in true.edges:
         return (0.0,) * n_modes
@@ -140,7 +140,7 @@ def bias(true: TruePlate, n_modes: int) -> tuple[float, ...]:
     return tuple(float(v) for v in found[np.minimum(np.arange(n_modes), len(found) - 1)])
 
 
-# What no cause is
+# Errors that are no cause of the catalogue
 
 
 def _by_form(
@@ -151,7 +151,7 @@ def _by_form(
     accepted: tuple[str, ...] = (),
     kind: str = "beyond",
 ) -> Maker:
-    """A form of a size somewhere on the plate."""
+    """Maker of lists with a form of random size somewhere on the plate."""
 
     def make(nominal: NominalPlate, rng: np.random.Generator) -> Made:
         true, size = nominal.drawn(rng), float(rng.uniform(low, high))
@@ -169,7 +169,7 @@ def _listed(nominal: NominalPlate, true: TruePlate, kind: str, rng: np.random.Ge
 
 
 def is_stated(rng: np.random.Generator) -> bool:
-    """Whether a file states the repeatability."""
+    """Randomly decide whether a file states the repeatability."""
     return bool(rng.random() < _STATED)
 
 
@@ -179,7 +179,7 @@ def signed(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def _loose_core(on: forms.Bench, size: float, place: forms.Place) -> forms.Matrices:
-    """The halves slide on each other over an ellipse: a quarter of the bending stiffness is left."""
+    """The halves slide on each other over an ellipse, where a quarter of the bending stiffness is left."""
     away = (on.mesh.points / on.sides[:, None] - np.array(place)[:, None]) / size
     left = np.ones((len(away[0]), 8, 8))
     left[np.hypot(*away) < 1.0, 3:6, 3:6] = 0.25
@@ -187,12 +187,12 @@ def _loose_core(on: forms.Bench, size: float, place: forms.Place) -> forms.Matri
 
 
 def _pulled(on: forms.Bench, size: float, place: forms.Place) -> forms.Matrices:
-    """A cable holds the plate at one place as a spring."""
+    """A cable acts on the plate as a spring at one place."""
     return forms.padded(np.array([place]), np.ones(1), on, size, place)
 
 
 def _drifting(on: forms.Bench, size: float, place: forms.Place) -> forms.Matrices:
-    """Plies turn along x, from -size to size degrees."""
+    """The plies turn along x, from -size to size degrees."""
     turned = np.linspace(-size, size, 25)
     of_ply = elements.completed(on.plate.constants)
     ply = on.plate.thickness / len(on.plate.angles_deg)
@@ -207,7 +207,7 @@ _stepped = partial(forms.of_thickness, forms.THICKNESS["step"], 0)
 
 
 def _warming(nominal: NominalPlate, rng: np.random.Generator) -> Made:
-    """The plate softens from the first line to the last as it warms."""
+    """The plate softens from the first line to the last as it warms up."""
     n = nominal.n_modes + FURTHER
     drift = signed(rng, 0.003, 0.02)
     shift = drift * np.arange(n) / (nominal.n_modes - 1)
@@ -216,7 +216,7 @@ def _warming(nominal: NominalPlate, rng: np.random.Generator) -> Made:
 
 
 def has_bench(true: TruePlate) -> bool:
-    """Whether it is free or held at x = 0 alone, as `forms.bench` takes it and bricks with flaws are."""
+    """Whether it is free or clamped at x = 0 only, as required by `forms.bench` and bricks with flaws."""
     return true.edges in ("FFFF", "CFFF")
 
 
@@ -224,7 +224,7 @@ def _any(true: TruePlate) -> bool:
     return True
 
 
-# By name: which plates, and how.
+# Name -> condition on the plate, and maker.
 _BEYOND: dict[str, tuple[Callable[[TruePlate], bool], Maker]] = {
     "loose core": (has_bench, _by_form(_loose_core, 0.1, 0.3, ("other",), ("damage",))),
     "two thicknesses": (has_bench, _by_form(_stepped, 0.02, 0.1, ("other",), ("taper_x",))),
@@ -236,7 +236,7 @@ _BEYOND: dict[str, tuple[Callable[[TruePlate], bool], Maker]] = {
     "cable": (is_free, _by_form(_pulled, 0.1, 0.3, ("other",), ("support",))),
 }
 
-# What misled earlier versions
+# Errors that misled earlier versions
 
 
 def _two_accelerometers(nominal: NominalPlate, rng: np.random.Generator) -> Made:
@@ -318,7 +318,7 @@ def _mass_and_misread(nominal: NominalPlate, rng: np.random.Generator) -> Made:
 
 
 def _fixed(cause: str, low: float, high: float, kind: str, **aux: Any) -> Maker:
-    """A cause of the catalogue with a size from low to high."""
+    """Maker of lists with a cause of the catalogue whose size is between low and high."""
 
     def make(nominal: NominalPlate, rng: np.random.Generator) -> Made:
         flaw = FLAWS[cause]
@@ -372,7 +372,7 @@ def _of_strength(cause: str, ratio: float, nominal: NominalPlate, rng: np.random
 
 
 def _two(causes: tuple[str, str], nominal: NominalPlate, rng: np.random.Generator) -> Made:
-    """Two causes with sizes from their priors."""
+    """A list with two causes whose sizes are from their priors."""
     true = nominal.drawn(rng)
     hidden = {}
     for cause in causes:
@@ -396,7 +396,7 @@ def _missed(nominal: NominalPlate, rng: np.random.Generator) -> Made:
 
 
 def plans() -> Iterator[tuple[str, Callable[[TruePlate], bool], Maker]]:
-    """Every list: its name, which plates will do, and how it is made."""
+    """All lists: name, condition on the plate, and maker."""
     for k in range(CLEAN):
         yield f"clean-{k:02d}", _any, _clean
     causes = list(FLAWS)

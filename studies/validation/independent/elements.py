@@ -1,9 +1,9 @@
-"""8-node serendipity plates of first-order theory, with laminates of their own.
+"""8-node serendipity plates of first-order theory, with laminate theory of their own.
 
 Strains and kinetic energy are sparse matrices from nodal values to quadrature points: K = B^T (w C) B with 2
-x 2 points an element (the reduced rule: full integration locks), M = N^T (w m) N with 3 x 3. A taper, a soft
-patch, a stress or a dent is another C at these points, a crooked outline is another place of the nodes.
-Laminate theory is written anew from the textbooks, so that an error of the laminates of the package cannot
+x 2 points per element (the reduced rule, since full integration locks), M = N^T (w m) N with 3 x 3. A taper,
+a soft patch, a stress or a dent changes C at these points, a crooked outline the positions of the nodes.
+Laminate theory is written anew from the textbooks, so that an error in the laminates of the package cannot
 hide in a truth: Jones, Mechanics of Composite Materials (A, B, D), and Rohwer, Composites Science and
 Technology 32 (1988), for a transverse shear stiffness that is consistent in energy.
 """
@@ -24,11 +24,11 @@ from skfem import CellBasis, ElementQuadS2, FacetBasis, MeshQuad1
 Array = NDArray[np.float64]
 Constants = Mapping[str, float]
 
-# Corners of the plate, as a map of the unit square: (2, n) to (2, n).
+# Shape of the plate as a map of the unit square: (2, n) to (2, n).
 Outline = Callable[[Array], Array]
 
 ELEMENTS = 16
-# Width of the outermost elements over that of the others.
+# Width of the outermost elements relative to the others.
 GRADING = 0.35
 FIELDS = ("u", "v", "w", "phi_x", "phi_y")
 EDGES = ("x0", "y0", "x1", "y1")
@@ -38,14 +38,14 @@ EDGES = ("x0", "y0", "x1", "y1")
 class Elements:
     """A mesh with its matrices.
 
-    n : nodes; a field's value at node j is unknown field * n + j.
+    n : number of nodes; a field's value at node j is unknown field * n + j.
     points, weights : (2, q) m and (q,) m2 of the rule of the stiffness; unit : (2, q) on the unit square.
     value : (q, n) shape functions; slope : (q, n) along x and along y, both sparse.
-    mass_points, mass_weights, mass_unit, mass_value : those of the rule of the mass.
-    edges : by edge its points on the unit square (along it), weights in m and shape functions.
-    held : by edge the nodes on it.
-    nodes : (2, n) of the unit square.
-    shape : elements along x and y.
+    mass_points, mass_weights, mass_unit, mass_value : of the rule of the mass.
+    edges : for each edge its points on the unit square (along it), weights in m and shape functions.
+    held : for each edge the nodes on it.
+    nodes : (2, n) on the unit square.
+    shape : number of elements along x and y.
     """
 
     n: int
@@ -65,11 +65,11 @@ class Elements:
 
 
 class BucklingError(ValueError):
-    """The stress on a plate is more than it bears."""
+    """Error raised if the stress on a plate exceeds its buckling stress."""
 
 
 def divisions(n: int, grading: float = GRADING) -> Array:
-    """Places of n + 1 nodes from 0 to 1, the outermost intervals narrower."""
+    """Positions of n + 1 nodes from 0 to 1, with narrower outermost intervals."""
     widths = np.ones(n)
     widths[[0, -1]] = grading
     return np.asarray(np.concatenate([[0.0], np.cumsum(widths)]) / widths.sum())
@@ -113,7 +113,7 @@ def elements(outline: Outline, n: tuple[int, int] = (ELEMENTS, ELEMENTS)) -> Ele
 def strains(mesh: Elements, rise: tuple[Array, Array] | None = None) -> csr_array[Any]:
     """The eight strains at the points of the stiffness, point by point, (8 q, 5 n).
 
-    rise : slopes of a shallow mid-surface at the points, which w then stretches (Marguerre).
+    rise : slopes of a shallow mid-surface at the points, through which w also stretches it (Marguerre).
     """
     n, x, y = mesh.value, *mesh.slope
     zero = csr_array(n.shape)
@@ -137,7 +137,7 @@ def strains(mesh: Elements, rise: tuple[Array, Array] | None = None) -> csr_arra
 
 
 def stiffness(mesh: Elements, strain: csr_array[Any], c: Array) -> csr_array[Any]:
-    """K of a laminate stiffness at every point, (q, 8, 8)."""
+    """K for a laminate stiffness at every point, (q, 8, 8)."""
     blocks = bsr_array(
         (mesh.weights[:, None, None] * c, np.arange(len(c)), np.arange(len(c) + 1)),
         shape=(8 * len(c), 8 * len(c)),
@@ -146,7 +146,7 @@ def stiffness(mesh: Elements, strain: csr_array[Any], c: Array) -> csr_array[Any
 
 
 def mass(mesh: Elements, per_area: Array, rotary: Array) -> csr_array[Any]:
-    """M of a mass and a rotary inertia per area at the points of the mass rule, kg/m2 and kg."""
+    """M for a mass and a rotary inertia per area at the points of the mass rule, kg/m2 and kg."""
     shift, turn = (
         mesh.mass_value.T @ scaled(mesh.mass_weights * weight, mesh.mass_value)
         for weight in (per_area, rotary)
@@ -155,7 +155,7 @@ def mass(mesh: Elements, per_area: Array, rotary: Array) -> csr_array[Any]:
 
 
 def on_field(mesh: Elements, field: str, small: csr_array[Any]) -> csr_array[Any]:
-    """A matrix of one field among all, (5 n, 5 n)."""
+    """Embed the matrix of one field among all fields, (5 n, 5 n)."""
     entries = coo_array(small)
     at = FIELDS.index(field) * mesh.n
     return csr_array(
@@ -164,29 +164,29 @@ def on_field(mesh: Elements, field: str, small: csr_array[Any]) -> csr_array[Any
 
 
 def edge_form(mesh: Elements, edge: str, density: Callable[[Array], Array]) -> csr_array[Any]:
-    """Integral along an edge of a spring per length times the square of a field, (n, n)."""
+    """Integral along an edge of a stiffness per length times the square of a field, (n, n)."""
     along, weights, value = mesh.edges[edge]
     return csr_array(value.T @ scaled(weights * density(along), value))
 
 
 def at_points(mesh: Elements, places: Array) -> csr_array[Any]:
     """Shape functions at places (2, p) of the unit square, (p, n)."""
-    # a place on the outline itself may be found in no element
+    # no element may be found for a place on the outline itself
     return csr_array(_unit_basis(mesh.shape).probes(np.clip(places, 1e-9, 1.0 - 1e-9)))
 
 
 def frequencies(
     k: csr_array[Any], m: csr_array[Any], held: NDArray[np.int64], n_modes: int, rigid: int, about: float
 ) -> tuple[Array, Array]:
-    """The lowest natural frequencies, Hz, rigid-body motions left out, and their modes (5 n, n_modes).
+    """Lowest natural frequencies, Hz, without rigid-body motions, and their modes (5 n, n_modes).
 
-    held : unknowns that are zero. rigid : motions left out. about : Hz, of the order of the lowest.
+    held : unknowns fixed to zero. rigid : motions left out. about : Hz, of the order of the lowest.
     """
     size = k.shape[0]
     free = np.setdiff1d(np.arange(size), held)
     kf, mf = (matrix.tocsc()[free][:, free] for matrix in (k, m))
     shift = -((2.0 * np.pi * about) ** 2) * 0.05
-    # symmetric and positive definite: without the threshold zero pivoting would fill the factor
+    # symmetric and positive definite; zero pivoting without the threshold would fill the factor
     factor = splu(
         (kf - shift * mf).tocsc(),
         permc_spec="MMD_AT_PLUS_A",
@@ -235,7 +235,7 @@ def _places(basis: Any) -> Array:
 
 
 def scaled(weights: Array, matrix: csr_array[Any]) -> csr_array[Any]:
-    """Rows of a matrix times weights."""
+    """A matrix with its rows multiplied by weights."""
     out = csr_array(matrix, copy=True)
     out.data = out.data * np.repeat(weights, np.diff(out.indptr))
     return out
@@ -248,7 +248,7 @@ RESIN: dict[str, float] = {"E1": 3.5e9, "E2": 3.5e9, "nu12": 0.35, "G12": 3.5e9 
 
 
 def completed(constants: Constants) -> dict[str, float]:
-    """The six constants of a ply: G13 = G12 and G23 of a transversely isotropic ply where left out.
+    """The six constants of a ply; by default G13 = G12 and G23 of a transversely isotropic ply.
 
     G23 = E2 / (2 (1 + nu23)), nu23 = nu12 (1 - nu12 E2 / E1) / (1 - nu12). Without E2: isotropic.
     """
@@ -274,7 +274,7 @@ def plane_stress(c: Constants, angle_deg: float) -> Array:
         ]
     )
     cos, sin = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
-    # strains of the ply from strains of the plate
+    # strains in the ply's axes from those in the plate's
     turn = np.array(
         [
             [cos**2, sin**2, cos * sin],
@@ -297,7 +297,7 @@ def laminate_stiffness(
 ) -> Array:
     """The 8 x 8 stiffness [A B; B D; A_s] of plies (constants, angle in deg, thickness in m), bottom to top.
 
-    correction : factor of the integral of the shear stiffness; None: Rohwer's energy-consistent one.
+    correction : factor on the integral of the shear stiffness; None: Rohwer's energy-consistent one.
     Strains: eps_x, eps_y, gamma_xy, kappa_x, kappa_y, kappa_xy, gamma_yz, gamma_xz.
     """
     faces = np.concatenate([[0.0], np.cumsum([t for _, _, t in plies])])
@@ -322,8 +322,8 @@ def laminate_stiffness(
 def _energy_consistent(
     faces: Array, moduli: Sequence[Array], shears: Sequence[Array], abd: NDArray[Any]
 ) -> Array:
-    """Shear stiffness whose energy is that of the stresses in equilibrium with cylindrical bending."""
-    neutral = -np.linalg.solve(abd[:3, :3], abd[:3, 3:6])  # membrane strains that bending brings, N = 0
+    """Shear stiffness with the energy of the stresses in equilibrium in cylindrical bending."""
+    neutral = -np.linalg.solve(abd[:3, :3], abd[:3, 3:6])  # membrane strains due to bending, N = 0
     flexibility = np.linalg.inv(abd[3:6, 3:6] + abd[3:6, :3] @ neutral)
     points, weights = np.polynomial.legendre.leggauss(4)
     compliance = np.zeros((2, 2))
@@ -334,7 +334,7 @@ def _energy_consistent(
         inverse = np.linalg.inv(shears[k])
         for zi, wi in zip(z, weights * (high - low) / 2.0, strict=True):
             a = -(below + q @ (neutral * (zi - low) + np.eye(3) * (zi**2 - low**2) / 2.0)) @ flexibility
-            # tau_yz and tau_xz of the forces V_y = M_y,y and V_x = M_x,x
+            # tau_yz and tau_xz due to the forces V_y = M_y,y and V_x = M_x,x
             f = np.array([[a[1, 1], a[2, 0]], [a[2, 1], a[0, 0]]])
             compliance += wi * f.T @ inverse @ f
         below = below + q @ (neutral * (high - low) + np.eye(3) * (high**2 - low**2) / 2.0)

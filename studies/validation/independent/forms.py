@@ -1,7 +1,7 @@
-"""Forms that causes have on real plates, each other than the catalogue's, on the independent elements.
+"""Forms of causes on real plates, each different from the catalogue's, on the independent elements.
 
-A clamp lets go abruptly, an accelerometer has a footprint and a cable, foam stands in a few places, damage
-has an outline, thickness has steps. A form makes the matrices of the plate that has it.
+A clamp lets go abruptly, an accelerometer has a footprint and a cable, foam supports are small, damage has an
+outline, thickness has steps. A form makes the matrices of the plate that has it.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from validation.independent.true_plate import TruePlate
 Array = NDArray[np.float64]
 Place = tuple[float, float]
 Matrices = tuple[csr_array[Any], csr_array[Any], NDArray[np.int64]]
-# From -1 to 1 along both sides (2, q) to (q,); from 0 to 1 along an edge to its compliance.
+# From -1 to 1 along both sides, (2, q) to (q,); or from 0 to 1 along an edge, to its compliance.
 Profile = Callable[[Array], NDArray[Any]]
 
-# Elements along x and y; fine along a clamped edge, x = 0, where a grip that ends is singular.
+# Elements along x and y; fine along a clamped edge, x = 0, where the end of a grip is a singularity.
 MESHES = {"F": (16, 16), "C": (12, 32)}
 RIGID_MOTIONS = 6
-# Springs of what counts as held, in units of side / D and side^3 / D.
+# Compliances of edges that count as rigid, in units of side / D and side^3 / D.
 _RIGID = {"turn": 1e-6, "shift": 1e-8}
-# An accelerometer: height of its centre over the surface, m, and share of its mass that is cable.
+# An accelerometer: height of its centre above the surface, m, and cable's share of its mass.
 _HEIGHT, _CABLE = 4e-3, 0.25
-# Bending stiffness over the plate's where wax or tape of a fifth of a millimetre fixes it.
+# Bending stiffness relative to the plate's under wax or tape a fifth of a millimetre thick.
 _TAPED = 1.15
 # Side of a pad of foam, m.
 _PAD = 15e-3
@@ -42,9 +42,9 @@ _PAD = 15e-3
 class Bench:
     """A plate without a flaw on its elements.
 
-    laminate : its stiffness, (8, 8)
-    bare : its matrices
-    frequencies : Hz, of as many modes as are asked for
+    laminate : stiffness, (8, 8)
+    bare : matrices without a flaw
+    frequencies : Hz, of as many modes as requested
     """
 
     plate: TruePlate
@@ -71,7 +71,7 @@ def _ln_f(plate: TruePlate, changed: Matrices, n_modes: int, about: float) -> Ar
 
 
 def bench(plate: TruePlate, n_modes: int, shape: tuple[int, int] | None = None) -> Bench:
-    """A plate on elements of this shape, those of its edge x = 0 unless given, where alone it may be held."""
+    """A plate, free or clamped at x = 0, on elements of this shape or of the default for that edge."""
     sides = np.array([[plate.length], [plate.width]])
     mesh = elements.elements(lambda p: sides * p, shape or MESHES[plate.edges[0]])
     strain, laminate = elements.strains(mesh), _with_resin(plate, np.zeros(2))
@@ -86,13 +86,13 @@ def bench(plate: TruePlate, n_modes: int, shape: tuple[int, int] | None = None) 
 
 
 def _mass(plate: TruePlate, mesh: Elements, thickness: Array) -> csr_array[Any]:
-    """M of a thickness over the nominal one at the points of the mass rule."""
+    """M for a thickness relative to the nominal one at the points of the mass rule."""
     per_area = plate.density * plate.thickness * thickness
     return elements.mass(mesh, per_area, per_area * (plate.thickness * thickness) ** 2 / 12.0)
 
 
 def of_stiffness(on: Bench, c: Array) -> Matrices:
-    """The plate of another laminate stiffness at every point, (q, 8, 8)."""
+    """Matrices of the plate with another laminate stiffness at every point, (q, 8, 8)."""
     _, m, held = on.bare
     return elements.stiffness(on.mesh, on.strain, c), m, held
 
@@ -101,10 +101,10 @@ def of_stiffness(on: Bench, c: Array) -> Matrices:
 
 
 def _sprung(on: Bench, turn: Profile, shift: Profile) -> Matrices:
-    """The clamped edge on springs.
+    """Matrices of the plate with its clamped edge on springs.
 
-    turn, shift : compliance along it in units of side / D and side^3 / D (w), side / A (u, v); infinite
-        where it is loose
+    turn, shift : compliance along it in units of side / D and side^3 / D (w), side / A (u, v); infinite where
+        it is loose
     """
     k, m, _ = on.bare
     side, c = on.plate.length, on.laminate
@@ -135,7 +135,7 @@ _LOOSE = {
     "abruptly, from both ends": _loose_where(lambda s, size: np.minimum(s, 1.0 - s) < size / 2.0),
     "abruptly, between bolts": _loose_where(lambda s, size: np.abs(s - 0.6) < size / 2.0),
 }
-# Compliances along the edge over their mean.
+# Compliance along the edge relative to its mean.
 _UNEVEN: dict[str, Profile] = {
     "softer towards one end": lambda s: 1.0 + 0.8 * (2.0 * s - 1.0),
     "softer at both ends": lambda s: 0.4 + 1.8 * (2.0 * s - 1.0) ** 2,
@@ -148,7 +148,7 @@ def _slipping(loose: Callable[[float], Profile], on: Bench, size: float, place: 
 
 
 def _resting(on: Bench, size: float, place: Place) -> Matrices:
-    """Where the clamp does not grip the plate rests on it and may turn."""
+    """Where the clamp does not grip, the plate rests on it and may rotate."""
     return _sprung(on, _LOOSE["abruptly, from one end"](size), _none)
 
 
@@ -160,20 +160,20 @@ def _uneven(along: Profile, turn: float, shift: float, on: Bench, size: float, p
 
 
 def _disc(on: Bench, place: Place, diameter: float) -> Array:
-    """Points (2, p) of the unit square that stand for a disc."""
+    """Points (2, p) on the unit square that represent a disc."""
     grid = np.stack(np.meshgrid(*[np.linspace(-0.4, 0.4, 5)] * 2)).reshape(2, -1)
     inside = grid[:, np.hypot(*grid) < 0.46]
     return np.clip(np.array(place)[:, None] + diameter * inside / on.sides[:, None], 0.0, 1.0)
 
 
 def _spread(on: Bench, points: Array) -> csr_array[Any]:
-    """Mean over points of the square of a field, (n, n)."""
+    """Mean of the square of a field over points, (n, n)."""
     value = elements.at_points(on.mesh, points)
     return csr_array(value.T @ value / points.shape[1])
 
 
 def _loaded(on: Bench, mass: float, points: Array, height: float) -> csr_array[Any]:
-    """The mass matrix of the plate with a mass that is spread over points."""
+    """Mass matrix of the plate with a mass that is spread over points."""
     spread = _spread(on, points)
     rotary = mass * (on.plate.thickness / 2.0 + height) ** 2
     m = on.bare[1]
@@ -183,7 +183,7 @@ def _loaded(on: Bench, mass: float, points: Array, height: float) -> csr_array[A
 
 
 def _footprint(diameter: float, stiffer: float, on: Bench, size: float, place: Place) -> Matrices:
-    """A mass of this share of the plate's on a disc under which the plate is so many times as stiff."""
+    """A mass, a fraction of the plate's, on a disc under which the stiffness is multiplied by ``stiffer``."""
     k, _, held = on.bare
     m = _loaded(on, size * on.plate.total_mass, _disc(on, place, diameter), _HEIGHT)
     if stiffer != 1.0:
@@ -193,7 +193,7 @@ def _footprint(diameter: float, stiffer: float, on: Bench, size: float, place: P
 
 
 def _cabled(diameter: float, on: Bench, size: float, place: Place) -> Matrices:
-    """A share of the mass is a cable that is taped along x to the far edge."""
+    """Part of the mass is a cable that is taped along x to the far edge."""
     k, m, held = _footprint(diameter, 1.0, on, (1.0 - _CABLE) * size, place)
     line = np.linspace(place[0], 1.0, 12)
     along = replace(on, bare=(k, m, held))
@@ -202,7 +202,7 @@ def _cabled(diameter: float, on: Bench, size: float, place: Place) -> Matrices:
 
 
 def padded(places: Array, shares: Array, on: Bench, size: float, place: Place) -> Matrices:
-    """Pads that would bounce a rigid plate at this fraction of its first frequency."""
+    """Pads on which a rigid plate would bounce at this fraction of its first frequency."""
     k, m, held = on.bare
     whole = (2.0 * np.pi * size * on.frequencies[0]) ** 2 * on.plate.total_mass
     for (x, y), share in zip(places, shares, strict=True):
@@ -222,7 +222,7 @@ def _softer(on: Bench, depth: Array, loss: float) -> Matrices:
     return of_stiffness(on, on.laminate * (1.0 - loss * depth)[:, None, None])
 
 
-# From places (2, q) in units of the extent, about the middle of the damage, to its depth.
+# From places (2, q) about the centre of the damage, in units of its extent, to its depth.
 _OUTLINES: dict[str, Profile] = {
     "ellipse": lambda p: np.hypot(p[0] / 1.5, p[1] / 0.7) < 1.0,
     "strip": lambda p: (np.abs(p[0] + p[1]) < 2.0**0.5 * 2.0) & (np.abs(p[0] - p[1]) < 2.0**0.5 * 0.5),
@@ -237,7 +237,7 @@ def _damaged(outline: Profile, extent: float, on: Bench, size: float, place: Pla
     return _softer(on, np.asarray(outline(off / (extent * on.sides.min())), dtype=float), size)
 
 
-# From distances (2, q) from the edges at a corner, in units of a leg, to what is missing there.
+# From distances (2, q) from the edges at a corner, in units of a leg, to whether the place is missing.
 _CORNERS: dict[str, Profile] = {
     "rectangle along x": lambda p: (p[0] < 1.5) & (p[1] < 0.75),
     "rectangle along y": lambda p: (p[0] < 0.75) & (p[1] < 1.5),
@@ -245,12 +245,12 @@ _CORNERS: dict[str, Profile] = {
     "rounded": lambda p: (np.hypot(2.0 - p[0], 2.0 - p[1]) > 2.0) & (np.max(p, axis=0) < 2.0),
     "broken": lambda p: (p[0] + 0.4 * p[1] < 1.1) & (p[0] + 2.0 * p[1] < 2.2),
 }
-# Of its stiffness and mass, what is left of a part that is gone.
+# Fraction of stiffness and mass that remains of a missing part.
 _REMAINS = 1e-3
 
 
 def _cut_off(missing: Profile, on: Bench, size: float, place: Place) -> Matrices:
-    """A corner is gone; size : of a leg over the shorter side."""
+    """A corner is missing; size : of a leg relative to the shorter side."""
     leg, corner = max(size, 1e-9) * on.sides.min(), (on.sides * place)[:, None]
     at, at_mass = (
         1.0 - (1.0 - _REMAINS) * missing(np.abs(points - corner) / leg)
@@ -260,7 +260,7 @@ def _cut_off(missing: Profile, on: Bench, size: float, place: Place) -> Matrices
     return k, _mass(on.plate, on.mesh, at_mass), held
 
 
-# Relative thickness along a side from -1 to 1, of mean zero and difference 2 between its ends.
+# Relative thickness along a side from -1 to 1, with mean zero and a difference of 2 between its ends.
 THICKNESS: dict[str, Profile] = {
     "step": lambda s: np.where(s > 0.1, 1.1, -0.9),
     "two steps": lambda s: np.where(s > 0.4, 1.0, 0.0) + np.where(s < -0.4, -1.0, 0.0),
@@ -278,16 +278,16 @@ def of_thickness(profile: Profile, axis: int, on: Bench, size: float, place: Pla
 
 
 def _skinned(near: Place, far: Place, on: Bench, size: float, place: Place) -> Matrices:
-    """Resin on the lower and the upper face, on the half of the plate at x = 0 and on the other.
+    """Resin on the lower and upper faces, different on the half of the plate at x = 0 and on the other.
 
-    size : over the thickness; near, far : the skins over it
+    size : relative to the thickness; near, far : skins relative to it
     """
     c = [_with_resin(on.plate, size * on.plate.thickness * np.array(skins)) for skins in (near, far)]
     return of_stiffness(on, np.where((on.mesh.unit[0] < 0.5)[:, None, None], *c))
 
 
 def _with_resin(plate: TruePlate, skins: Array) -> Array:
-    """Stiffness of the plate's plies between skins of resin on the lower and the upper face, (8, 8)."""
+    """Stiffness of the plate's plies between resin skins on the lower and upper faces, (8, 8)."""
     ply = (plate.thickness - float(np.sum(skins))) / len(plate.angles_deg)
     resin, of_ply = elements.completed(elements.RESIN), elements.completed(plate.constants)
     faces = [(resin, 0.0, float(t)) for t in skins]
@@ -295,7 +295,7 @@ def _with_resin(plate: TruePlate, skins: Array) -> Array:
     return elements.laminate_stiffness([faces[0], *plies, faces[1]], plate.correction)
 
 
-# Shapes: slopes of a mid-surface along x and along y, times half a side, over its sag.
+# Shapes: slopes of a mid-surface along x and y, times half a side, relative to its sag.
 _RISES: dict[str, Callable[[Array, Array], tuple[Array, Array]]] = {
     "cosine": lambda s, t: (
         -np.pi / 2.0 * np.sin(np.pi / 2.0 * s) * np.cos(np.pi / 2.0 * t),
@@ -310,7 +310,7 @@ _RISES: dict[str, Callable[[Array, Array], tuple[Array, Array]]] = {
 def _risen(
     rise: Callable[[Array, Array], tuple[Array, Array]], on: Bench, size: float, place: Place
 ) -> Matrices:
-    """A sag over the thickness."""
+    """A shallow shell; size : sag relative to the thickness."""
     s, t = 2.0 * on.mesh.unit - 1.0
     x, y = (
         size * on.plate.thickness * slope * 2.0 / side
@@ -325,11 +325,11 @@ def _risen(
 
 @dataclass(frozen=True, slots=True)
 class RealForm:
-    """A form of a cause.
+    """A real form of a cause.
 
     act : plate, size, place -> its matrices
     sizes : in the unit of the form
-    places : over the sides, for a cause that is somewhere
+    places : relative to the sides, for a cause that has a place
     """
 
     cause: str
@@ -346,7 +346,7 @@ _SLIPS, _COMPLIANCES = (0.06, 0.12, 0.2), (1.5, 6.0)
 _MASSES, _BOUNCES, _LOSSES = (0.012, 0.045), (0.15, 0.35), (0.3, 0.75)
 _LEGS = (0.1, 0.2)
 _TAPERS, _SKINS, _SAGS = (0.04, 0.16), (0.02, 0.06), (0.25, 0.9)
-# Compliances of one catalogue standard deviation.
+# Compliances at one standard deviation of the catalogue.
 _SOFT = {"clamp_rotation": (0.02, 0.0), "clamp_translation": (0.0, 0.002), "soft_clamp": (0.02, 0.002)}
 
 FORMS: tuple[RealForm, ...] = (

@@ -27,16 +27,16 @@ Array = NDArray[np.float64]
 
 # Plates
 
-# Names of the constants in files, and Pa in their unit.
+# Names of the constants in files, and their units in Pa.
 IN_FILE = {"E1": ("E1_GPa", 1e9), "E2": ("E2_GPa", 1e9), "nu12": ("nu12", 1.0), "G12": ("G12_GPa", 1e9)}
-# Relative standard deviation of a reference constant, where a file gives one.
+# Relative standard deviation of a reference constant, if a file gives one.
 REFERENCE_SD = 0.1
 # Constants of a plate whose file gives none lie within this fraction of the reference.
 SPREAD = 0.15
 RESOLUTION_HZ = 0.1
-# Relative repeatability of the simulated tests, unless a plate has another.
+# Relative repeatability of the simulated tests by default.
 NOISE = 0.002
-# What is gauged, weighed or taken from a data sheet: relative standard deviations.
+# Relative standard deviations of gauged, weighed and data-sheet values.
 SIDES_SD, THICKNESS_SD, DENSITY_SD, WEIGHT_SD = 1e-3, 1e-2, 1e-2, 2e-3
 
 _CARBON = {"E1": 125e9, "E2": 9.0e9, "nu12": 0.30, "G12": 5.2e9}
@@ -57,11 +57,11 @@ class NominalPlate:
     plate : with reference constants and without a flaw; its masses are known sensors.
     layup : in the notation of plate files.
     bounds : of the constants, Pa.
-    known : whether the file says how well the reference constants are known.
-    n_modes : in its lists.
-    specimen : name of the plate where several files are tests of one.
+    known : whether the file says how accurate the reference constants are.
+    n_modes : number in its lists.
+    specimen : name of the plate if several files are tests of the same one.
     noise : relative repeatability of its tests.
-    exact : whether sizes and density are just as stated.
+    exact : whether sizes and density are exactly as stated.
     weighed : whether the file states the mass instead of the density.
     """
 
@@ -88,14 +88,14 @@ class NominalPlate:
 
     @property
     def relative_sd(self) -> NDArray[np.float64]:
-        """Standard deviation of each constant's prior over its reference."""
+        """Standard deviation of each constant's prior relative to its reference."""
         if self.known:
             return np.full(len(self.bounds), REFERENCE_SD)
         widths = [(high - low) / self.plate.constants[n] for n, (low, high) in self.bounds.items()]
         return np.asarray(np.array(widths) / np.sqrt(12.0))
 
     def drawn(self, rng: np.random.Generator) -> TruePlate:
-        """The plate with constants drawn about the reference, and sizes about what is stated."""
+        """The plate with constants drawn about the reference, and sizes about the stated values."""
         constants = {}
         for name, (low, high) in self.bounds.items():
             reference = self.plate.constants[name]
@@ -202,34 +202,34 @@ PLATES = (
 
 # Lists
 
-# Modes beyond the list, of which some may be missed.
+# Number of modes beyond the list, some of which may replace missed ones.
 FURTHER = 3
-# Mesh on which a size is sought; the list itself is solved on the finer one.
+# Mesh for finding a size; the list itself is solved on the finer one.
 _SEARCH_MESH = 10
 _TOLERANCE, _STEPS = 0.05, 9
-# Length of the smooth discrepancy's correlation, in ln f.
+# Correlation length of the smooth discrepancy, in ln f.
 _CORRELATION = (0.4, 1.2)
-# A share of a compound cause below this many standard deviations shows nothing of its own.
+# A part of a compound cause below this many standard deviations is invisible.
 _UNSEEN = 2.0
-# Two causes are hidden together where their visible signatures differ.
+# Two causes are hidden together only if the cosine of their visible signatures is below this.
 _MOST_ALIKE = 0.9
 
 
 class UnreachableError(ValueError):
-    """A cause cannot have the asked signal to noise within its physical limit."""
+    """Error raised if a cause cannot reach the required signal to noise within its physical limit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What a list hides.
+    """Content hidden in a list.
 
     causes : names; "other" for a smooth discrepancy; empty for a clean list.
-    accepted : further names that are the same physical thing on this plate.
-    sizes, aux : by cause, in the units of its flaw, and its place or form.
-    ratio : signal to noise of each cause, None where it was not asked for.
+    accepted : other names of the same physical thing on this plate.
+    sizes, aux : for each cause, in the units of its flaw, and its place or form.
+    ratio : signal to noise of each cause, None if it was not prescribed.
     constants : of the plate, in the units of files.
-    true_hz : the modes that are listed, without noise.
-    reference_hz : of the same plate without the causes, FURTHER modes more.
+    true_hz : listed modes, without noise.
+    reference_hz : of the same plate without the causes, with FURTHER additional modes.
     """
 
     kind: str
@@ -251,7 +251,7 @@ class Truth:
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """ln f of the unflawed truth and its slopes over the constants' prior scores, of more than n modes."""
+    """ln f of the unflawed truth for more than n modes, and slopes over the constants' prior scores."""
 
     ln_f: Array
     slope: Array
@@ -259,7 +259,7 @@ class Linear:
     noise: float
 
     def visible(self, shift: Array) -> Array:
-        """A shift of the first n modes less what constants imitate within their priors, in sd."""
+        """A shift of the first n modes minus what the constants imitate within their priors, in sd."""
         a = self.slope[: self.n] / self.noise
         inner = np.eye(self.n) - a @ np.linalg.solve(a.T @ a + np.eye(a.shape[1]), a.T)
         values, vectors = np.linalg.eigh(inner)
@@ -268,7 +268,7 @@ class Linear:
 
 
 def linear_of(nominal: NominalPlate, plate: TruePlate, mesh: int = _SEARCH_MESH) -> Linear:
-    """The linear plate about its true constants."""
+    """The plate linearised about its true constants."""
     names = nominal.constants
     ln_f, slope = sensitivities(replace(plate, mesh=mesh), names, nominal.n_modes + FURTHER)
     over = np.array([nominal.plate.constants[n] / plate.constants[n] for n in names])
@@ -278,7 +278,7 @@ def linear_of(nominal: NominalPlate, plate: TruePlate, mesh: int = _SEARCH_MESH)
 def size_for(
     linear: Linear, plate: TruePlate, cause: str, aux: Aux, ratio: float, sign: float
 ) -> tuple[float, Array]:
-    """The size at which a cause has a signal to noise, and its visible shift; UnreachableError if none."""
+    """Size at which a cause has a signal to noise, and its visible shift; raises UnreachableError if none."""
     flaw = FLAWS[cause]
     coarse = replace(plate, mesh=_SEARCH_MESH)
     most = flaw.most(plate)
@@ -311,7 +311,7 @@ def size_for(
             low, high = (np.log(t) for t in ((below[0], max(below[1], 1e-9)), above))
             part = np.clip((np.log(ratio) - low[1]) / max(high[1] - low[1], 1e-9), 0.05, 0.95)
             size = float(np.exp(low[0] + part * (high[0] - low[0])))
-    # a hole grows by whole points of the rule: the nearest size will do
+    # a hole grows by whole points of the quadrature: the nearest size will do
     size, norm = min(tried, key=lambda t: abs(np.log(max(t[1], 1e-9) / ratio)))
     if not 0.8 < norm / ratio < 1.25:
         raise UnreachableError(f"{cause} reaches {norm:.3g} times the noise of {ratio:g}")
@@ -329,7 +329,7 @@ def single(
     size: float | None = None,
     **how: Any,
 ) -> tuple[str, Truth]:
-    """A list with one cause; ratio None: its size as given, or drawn from the prior."""
+    """A list with one cause; ratio None: its size is given, or drawn from the prior."""
     plate = nominal.drawn(rng)
     flaw = FLAWS[cause]
     extra: dict[str, Any] = {}
@@ -361,7 +361,7 @@ def single(
 def pair(
     nominal: NominalPlate, causes: tuple[str, str], ratio: float, rng: np.random.Generator, **how: Any
 ) -> tuple[str, Truth]:
-    """A list with two causes of the same signal to noise whose signatures differ."""
+    """A list with two causes of equal signal to noise whose signatures differ."""
     plate = nominal.drawn(rng)
     linear = linear_of(nominal, plate)
     for _ in range(4):
@@ -399,10 +399,10 @@ def listed(
 ) -> tuple[str, Truth]:
     """The file of a list and its truth.
 
-    missed : modes that the laboratory did not see. complete : what the file says.
-    on_list : what else was wrong with the list. causes : if other than the names of the flaws.
-    accepted : further names of what is wrong. changed : the plate with what no flaw describes.
-    shift : of ln f, of the list and FURTHER modes, by what no plate describes.
+    missed : modes that the laboratory did not see. complete : as stated in the file.
+    on_list : further errors of the list. causes : if other than the names of the flaws.
+    accepted : other names of the error. changed : the plate with changes that no flaw describes.
+    shift : of ln f, for the list and FURTHER modes, by errors outside the plate model.
     """
     flawed = plate if changed is None else changed
     for cause, (size, aux) in flaws.items():
@@ -421,7 +421,7 @@ def listed(
     accepted = (*accepted, *same_thing(nominal, plate, flaws))
     mass = None
     if nominal.weighed:
-        # a wrong density is a wrong weight
+        # a wrong density becomes a wrong weight
         mass = weight(plate if "density" in flaws else flawed) * (1.0 + WEIGHT_SD * rng.standard_normal())
     names = tuple(flaws) if causes is None else causes
     hidden = Truth(
@@ -453,7 +453,7 @@ def written(
     on_list: Callable[[Array], Array] | None = None,
     mass: float | None = None,
 ) -> tuple[str, Truth]:
-    """The file and the truth of a list of true frequencies, of FURTHER modes more than it has."""
+    """File and truth of a list, from true frequencies of FURTHER modes more than it has."""
     f = np.delete(every, list(truth.missed))[: nominal.n_modes]
     true_hz = f if on_list is None else on_list(f)
     noisy = true_hz * (1.0 + nominal.noise * rng.standard_normal(len(f)))
@@ -468,10 +468,10 @@ def same_thing(
 ) -> tuple[str, ...]:
     """Other names of the hidden causes.
 
-    A soft clamp is rotation and translation at once, so each is a soft clamp without the other; a soft clamp
-    whose one part alone is below two standard deviations is the other part. The free length of a plate
-    clamped along x alone is its length. Plies of one direction all turned, where the layup has no other,
-    are turned as a whole.
+    A soft clamp is rotation and translation at once, so each of these is a soft clamp without the other; a
+    soft clamp of which one part alone is below two standard deviations is the other part. The free length of
+    a plate clamped along x only is its length. If all plies of one direction turn and the layup has no other
+    direction, the plate is turned as a whole.
     """
     names = [_same_as(nominal, plate, cause, size, aux) for cause, (size, aux) in flaws.items()]
     return tuple(sorted({name for own in names for name in own}))
@@ -506,9 +506,9 @@ def smooth(
     rms: float = math.nan,
     **how: Any,
 ) -> tuple[str, Truth]:
-    """A list whose frequencies are off by a smooth function of ln f that no cause explains.
+    """A list whose frequencies deviate by a smooth function of ln f that no cause explains.
 
-    ratio : signal to noise; None: the function has this rms
+    ratio : signal to noise; None: the function has the given rms
     """
     plate = nominal.drawn(rng)
     linear = linear_of(nominal, plate)
@@ -535,7 +535,7 @@ def smooth(
 
 
 def misread(nominal: NominalPlate, ratio: float, rng: np.random.Generator, **how: Any) -> tuple[str, Truth]:
-    """A list with one frequency misread, still in its place."""
+    """A list with one misread frequency that keeps its rank."""
     plate = nominal.drawn(rng)
     linear = linear_of(nominal, plate)
     n = nominal.n_modes

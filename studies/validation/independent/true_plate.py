@@ -1,4 +1,4 @@
-"""A plate as it really is, its natural frequencies, and what may be wrong with it, of any size and place."""
+"""A true plate, its natural frequencies, and its possible flaws, of any size and place."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from validation.independent.elements import EDGES, Elements
 Array = NDArray[np.float64]
 Aux = dict[str, Any]
 
-# Springs of what still counts as held, in units of side / D, side^3 / D and side / A.
+# Compliances of edges that count as rigid, in units of side / D, side^3 / D and side / A.
 _RIGID = {"turn": 1e-6, "shift": 1e-8}
-# What a simple support across an axis holds: w, and what lies along it.
+# Fields that a simple support across an axis fixes: w, and those along it.
 _SUPPORTED = {"x": ("v", "w", "phi_y"), "y": ("u", "w", "phi_x")}
-# Modes of a foundation or a mass that stand for rigid-body motions of a free plate.
+# Number of rigid-body motions of a free plate.
 _RIGID_MOTIONS = 6
 
 
@@ -40,7 +40,7 @@ class Patch:
     """Where the plate is softer: stiffness (1 - loss), over half widths in m about a place in m.
 
     form : "rectangle", "ellipse", or "smooth", a bell whose standard deviations are the half widths.
-    gone : whether mass is lost with the stiffness, as in a hole or a missing corner.
+    gone : whether mass is lost together with stiffness, as in a hole or a missing corner.
     """
 
     form: Literal["rectangle", "ellipse", "smooth"]
@@ -52,7 +52,7 @@ class Patch:
     gone: bool = False
 
     def depth(self, points: Array) -> Array:
-        """From 0 to 1 at points (2, q) in m."""
+        """Depth, from 0 to 1, at points (2, q) in m."""
         s, t = (points[0] - self.x) / self.half_x, (points[1] - self.y) / self.half_y
         if self.form == "smooth":
             return np.asarray(np.exp(-0.5 * (s**2 + t**2)))
@@ -62,28 +62,28 @@ class Patch:
 
 @dataclass(frozen=True, slots=True)
 class TruePlate:
-    """A plate with all its flaws; nominal where a field has its default.
+    """A plate with all its flaws; the defaults are nominal.
 
     length, width, thickness : m.
     density : kg/m3.
-    edges : F, S or C at x=0, y=0, x=length, y=width; all F, or such that no rigid-body motion is left.
+    edges : F, S or C at x=0, y=0, x=length, y=width; all F, or such that no rigid-body motion remains.
     angles_deg : plies of equal thickness, bottom to top.
     constants : of the ply, Pa.
     correction : shear correction factor; None: energy-consistent.
     taper : relative growth of the thickness from the middle to the far edges along x and y.
     skins : resin on each face, m, within the thickness.
-    log_shear : of a factor of the transverse shear stiffness.
+    log_shear : ln of a factor on the transverse shear stiffness.
     skew_deg : angle by which the sides along y lean.
-    sag : of a shallow cap over its middle, m.
+    sag : rise of a shallow cap at its centre, m.
     stress : largest residual normal stress, Pa.
-    masses, patches : where they are.
+    masses, patches : with their places.
     strips : edges with a mass along them, kg.
     foundation_hz : frequency at which the plate bounces on a uniform soft bed.
     turn, shift : compliances of the clamp, in units of side / D and side^3 / D (w), side / A (u, v); shift
         of a simple support is that of w.
     loose : fraction of each clamped edge, from its first end, that is not gripped.
-    tilt : of the frequencies after the plate: ln f + scale + tan_delta / pi * ln(f / f_1).
-    bias : of ln f, mode by mode, by which three dimensions differ from the elements; none beyond its end.
+    scale, tan_delta : change the frequencies to ln f + ln(1 + scale) + tan_delta / pi * ln(f / f_1).
+    bias : difference of ln f between three dimensions and the elements, mode by mode; zero beyond its end.
     """
 
     length: float
@@ -119,20 +119,20 @@ class TruePlate:
 
 
 def natural_frequencies(plate: TruePlate, n_modes: int) -> Array:
-    """The lowest natural frequencies, Hz, rigid-body motions of a free plate left out."""
+    """Lowest natural frequencies, Hz, without the rigid-body motions of a free plate."""
     f, _ = modes(plate, n_modes)
     return observed(plate, f)
 
 
 def observed(plate: TruePlate, f: Array) -> Array:
-    """What three dimensions, a viscoelastic material and the analyser make of the frequencies."""
+    """Frequencies with the effects of three dimensions, a viscoelastic material and the analyser."""
     bias = np.zeros(len(f))
     bias[: len(plate.bias)] = plate.bias[: len(f)]
     return np.asarray(f * (f / f[0]) ** (plate.tan_delta / np.pi) * (1.0 + plate.scale) * np.exp(bias))
 
 
 def weight(plate: TruePlate) -> float:
-    """Mass of the plate with its flaws but without what is stuck to it, kg."""
+    """Mass of the plate with its flaws but without attached masses, kg."""
     bare = replace(plate, masses=(), strips=())
     mesh, _ = _mesh_of(bare)
     _, m, _ = matrices(bare)
@@ -150,7 +150,7 @@ def modes(plate: TruePlate, n_modes: int) -> tuple[Array, Array]:
 def sensitivities(plate: TruePlate, names: tuple[str, ...], n_modes: int) -> tuple[Array, Array]:
     """ln f of the plate and d ln f / d ln(constant), (n_modes,) and (n_modes, n_names), modes in order.
 
-    Of each mode by its shape, d lambda = phi^T dK phi; a constant that follows from another moves with it.
+    For each mode from its shape, d lambda = phi^T dK phi; a constant derived from another moves with it.
     """
     f, shapes = modes(plate, n_modes)
     mesh, strain = _mesh_of(plate)
@@ -166,7 +166,7 @@ def sensitivities(plate: TruePlate, names: tuple[str, ...], n_modes: int) -> tup
 
 
 def matrices(plate: TruePlate) -> tuple[csr_array[Any], csr_array[Any], NDArray[np.int64]]:
-    """K, M and the unknowns that are held."""
+    """K, M and the unknowns that are fixed."""
     mesh, strain = _mesh_of(plate)
     k = elements.stiffness(mesh, strain, _stiffness_at(plate, mesh))
     if plate.stress:
@@ -196,7 +196,7 @@ def matrices(plate: TruePlate) -> tuple[csr_array[Any], csr_array[Any], NDArray[
 
 
 def _supports(plate: TruePlate, mesh: Elements) -> tuple[csr_array[Any], NDArray[np.int64]]:
-    """Springs of clamps and supports that give, and the unknowns of those that do not."""
+    """Springs of compliant clamps and supports, and the fixed unknowns of rigid ones."""
     soft = plate.turn > 0.0 or plate.shift > 0.0 or plate.loose > 0.0
     springs = csr_array((5 * mesh.n, 5 * mesh.n))
     held: list[NDArray[np.int64]] = [np.array([], dtype=np.int64)]
@@ -256,7 +256,7 @@ def _laminate(
 
 
 def _stiffness_at(plate: TruePlate, mesh: Elements) -> Array:
-    """The laminate's stiffness at every point of the rule, (q, 8, 8)."""
+    """Laminate stiffness at every point of the quadrature, (q, 8, 8)."""
     c = _nominal(plate).copy()
     c[6:, 6:] *= np.exp(plate.log_shear)
     rise = _thickness(plate, mesh.unit) / plate.thickness
@@ -276,7 +276,7 @@ def _thickness(plate: TruePlate, unit: Array) -> Array:
 
 
 def _present(plate: TruePlate, points: Array) -> Array:
-    """How much of the plate is there; a thousandth is left of what is cut away."""
+    """Fraction of the plate that is present; a thousandth remains of what is cut away."""
     out = np.ones(points.shape[1])
     for patch in plate.patches:
         if patch.gone:
@@ -285,7 +285,7 @@ def _present(plate: TruePlate, points: Array) -> Array:
 
 
 def _stressed(plate: TruePlate, mesh: Elements) -> csr_array[Any]:
-    """Integral of grad w . N grad w; N of the Airy function F (1 - s^2)^2 (1 - t^2)^2."""
+    """Integral of grad w . N grad w, with N from the Airy function F (1 - s^2)^2 (1 - t^2)^2."""
     s, t = 2.0 * mesh.unit - 1.0
     a, b = plate.length, plate.width
     force = plate.stress * plate.thickness
@@ -310,7 +310,7 @@ def _meshed(
     length: float, width: float, skew_deg: float, sag: float, n: int
 ) -> tuple[Elements, csr_array[Any]]:
     lean = np.tan(np.radians(skew_deg))
-    # a leaning side keeps its length
+    # an oblique side keeps its length
     rise = np.cos(np.radians(skew_deg))
 
     def outline(p: Array) -> Array:
@@ -326,7 +326,7 @@ def _meshed(
 
 
 def _with(plate: TruePlate, name: str, step: float) -> TruePlate:
-    """The plate with a constant times 1 + step."""
+    """The plate with a constant multiplied by 1 + step."""
     return replace(plate, constants={**plate.constants, name: plate.constants[name] * (1.0 + step)})
 
 
@@ -347,16 +347,16 @@ _GYRATION = 4e-3
 
 @dataclass(frozen=True, slots=True)
 class Flaw:
-    """A cause and how it is put on a plate.
+    """A cause and its implementation on a plate.
 
-    scale : one standard deviation of its size by the physics of effects, in its unit, on a plate.
-    most : the physical limit.
-    apply : plate, size, what else was drawn -> plate.
-    draw : what else is drawn: places, forms.
+    scale : plate -> standard deviation of its size by the physics of effects, in its unit.
+    most : plate -> the physical limit.
+    apply : plate, size, other drawn quantities -> plate.
+    draw : the other quantities: places, forms.
     two_sided : whether the size has either sign.
-    applies : to which plates.
-    stated : size, what else was drawn, mass of the plate in kg -> the size that a detection limit is of,
-        SI and degrees; None where it is of another form.
+    applies : whether a plate can have it.
+    stated : size, other drawn quantities, mass of the plate in kg -> the size in a detection limit's measure,
+        SI and degrees; None if the form is another.
     """
 
     cause: str
@@ -425,7 +425,7 @@ def _loaded(plate: TruePlate, size: float, aux: Aux) -> TruePlate:
 
 
 def _patch(plate: TruePlate, rng: np.random.Generator) -> Aux:
-    """A patch of any form and extent: from a twentieth to a quarter of the sides, half widths."""
+    """A patch of random form, its half widths from a twentieth to a quarter of the sides."""
     half = np.exp(rng.uniform(np.log(0.05), np.log(0.25), 2))
     form = str(rng.choice(["rectangle", "ellipse", "smooth"]))
     if form == "smooth":
@@ -441,7 +441,7 @@ def _softer(plate: TruePlate, size: float, aux: Aux) -> TruePlate:
 
 
 def _cut(plate: TruePlate, rng: np.random.Generator) -> Aux:
-    """A hole, or a free corner cut off; the ratio of its widths."""
+    """A hole, or a free corner cut off, with the ratio of its widths."""
     ratio = float(np.exp(rng.uniform(-0.5, 0.5)))
     if rng.random() < 0.5:
         x, y = rng.uniform(0.15, 0.85, 2)
@@ -451,14 +451,14 @@ def _cut(plate: TruePlate, rng: np.random.Generator) -> Aux:
 
 
 def _without(plate: TruePlate, size: float, aux: Aux) -> TruePlate:
-    """A part whose half widths are this fraction of the sides is gone."""
+    """Remove a part whose half widths are this fraction of the sides, times and over their ratio."""
     half_x, half_y = size * plate.length * aux["ratio"], size * plate.width / aux["ratio"]
     gap = Patch(aux["form"], aux["x"] * plate.length, aux["y"] * plate.width, half_x, half_y, 1.0, gone=True)
     return replace(plate, patches=(*plate.patches, gap))
 
 
 def _missing_corner(size: float, aux: Aux, mass: float) -> float | None:
-    """Part of the area, of a corner; a hole has no limit."""
+    """Missing fraction of the area for a corner; a hole has no limit."""
     return size**2 if aux["form"] == "rectangle" else None
 
 
