@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from cpam_bayes.result import Result
 
 COMMANDS: Final = {
-    "app": "a page on this machine: a plate, its frequencies, and the constants while one types",
+    "app": "a page on this machine: a plate, its frequencies, and the constants as you type",
     "plates": "the built-in specimens",
-    "new": "a commented plate file to begin with",
+    "new": "a commented plate file to start from",
     "poles": "natural frequencies and damping from frequency responses or recorded hits",
     "forward": "natural frequencies from the reference constants",
     "export": "an input file for CalculiX and ABAQUS, or predicted modes for modal software",
@@ -42,7 +42,7 @@ COMMANDS: Final = {
     "compare": "do two plates differ? Their constants against each other",
     "paper": "the paper's tables beside what this package computes",
     "prove": "the coin test: was a mass stuck to the plate, how heavy, where",
-    "calibrate": "how often the intervals of a plate hold the true constants, by simulated lists",
+    "calibrate": "how often the intervals of a plate contain the true constants, from simulated lists",
 }
 """Command, also the name of its module in `cpam_bayes.questions` -> what it answers."""
 BAD_INPUT: Final = 2
@@ -122,9 +122,7 @@ def _finish(
                 not_saved = error
     except KeyboardInterrupt:
         if store is not None and any(Path(store).glob("*")):
-            print(
-                f"finished rounds are kept in {store}: the same command goes on from there", file=sys.stderr
-            )
+            print(f"finished rounds are kept in {store}: the same command resumes there", file=sys.stderr)
         raise
     except LinAlgError as error:  # a ValueError too, and no fault of the input
         print(f"error: a plate model cannot be solved, please report it: {error}", file=sys.stderr)
@@ -155,7 +153,7 @@ def _finish(
         return _not_shown(error)
     if not_saved is not None:
         where = ", ".join(f"--{n} {v}" for n, v in vars(args).items() if n in ("out", "csv", "xlsx") and v)
-        print(f"error: {where}: {not_saved}; not all files are there", file=sys.stderr)
+        print(f"error: {where}: {not_saved}; not all files were written", file=sys.stderr)
         return NOT_WRITTEN
     return 0 if answer.reached_goal else NOT_DONE
 
@@ -171,9 +169,7 @@ def _with_columns(error: ValueError) -> Specimen | None:
     listed = "".join(f"  {i}  {head}\n" for i, head in enumerate(heads, 1))
     print(f"{file}: which column of its table has the frequencies?\n{listed}", end="", file=sys.stderr)
     while True:
-        print(
-            "Its number, or all of them where each mode or hit has one: ", end="", file=sys.stderr, flush=True
-        )
+        print("Its number, or several if each mode or hit has one: ", end="", file=sys.stderr, flush=True)
         try:
             words = input().split()
         except EOFError:
@@ -185,7 +181,7 @@ def _with_columns(error: ValueError) -> Specimen | None:
         print(f"  received {' '.join(words)!r}, accepted: 1 to {len(heads)}", file=sys.stderr)
     chosen = [heads[int(word) - 1] for word in words]
     value = json.dumps(chosen[0] if len(chosen) == 1 else chosen, ensure_ascii=False)
-    print(f"To keep this, {file} says\n  [measurement.columns]\n  hz = {value}", file=sys.stderr)
+    print(f"To keep this, add to {file}\n  [measurement.columns]\n  hz = {value}", file=sys.stderr)
     return read_specimen(file, chosen)
 
 

@@ -97,8 +97,8 @@ class Command:
         else:
             parser.add_argument("--out", metavar="DIR", help=self.out)
         parser.add_argument("--csv", metavar="FILE", help="write the main table to FILE")
-        parser.add_argument("--xlsx", metavar="FILE", help="write all tables to a workbook, a sheet each")
-        parser.add_argument("--verbose", action="store_true", help="with the tables behind the answer")
+        parser.add_argument("--xlsx", metavar="FILE", help="write all tables to a workbook, one sheet each")
+        parser.add_argument("--verbose", action="store_true", help="also the tables behind the answer")
         parser.add_argument("--quiet", action="store_true", help="no progress on standard error")
         for each in self.options:
             each.add_to(parser)
@@ -187,13 +187,13 @@ EXECUTOR: Final = option(
     default="processes",
     metavar="WHERE",
     help="where the work is done: processes of this machine, serial: in this process, or dask://HOST:PORT: "
-    "a Dask cluster that is running (tls://HOST:PORT: with TLS); the answer is the same (default: processes)",
+    "a running Dask cluster (tls://HOST:PORT: with TLS); the answer is the same (default: processes)",
 )
 WORKERS: Final = option(
     "--workers",
     type=whole(1, MAX_WORKERS),
     metavar="N",
-    help=f"number of processes, 1 to {MAX_WORKERS} (default: one a core)",
+    help=f"number of processes, 1 to {MAX_WORKERS} (default: one per core)",
 )
 TIME_LIMIT: Final = option(
     "--time-limit",

@@ -160,9 +160,7 @@ class Result:
         if name is None and drawings:
             return next(iter(drawings.values())).draw()
         if name is None or name not in drawings:
-            raise ValueError(
-                f"plot: received {name!r}, accepted: {' '.join(drawings) or 'nothing to be drawn'}"
-            )
+            raise ValueError(f"plot: received {name!r}, accepted: {' '.join(drawings) or 'nothing to draw'}")
         return drawings[name].draw()
 
     def texts(self) -> Mapping[str, str]:

@@ -60,7 +60,7 @@ REFUSED = [
 ]
 RUINOUS = [
     (LISTED, "[114]", "1 frequency for 2 unknowns: the bounds decide"),
-    ("E1_GPa = [10.0", "E1_GPa = [70.0", "E1_GPa = 69 lies outside its bounds 70 to 200"),
+    ("E1_GPa = [10.0", "E1_GPa = [70.0", "outside its bounds: E1_GPa = 69 (bounds 70 to 200)"),
     ("[114, 167, 218", "[114, 130, 218", "does not describe these frequencies"),
     ("nu12 = [0.15, 0.4]", "nu12 = { mean = 0.33, sd = 0.02, bounds = [0.15, 0.4] }", ""),
 ]
@@ -211,7 +211,7 @@ def test_a_terminal_is_asked_once_which_column_has_the_frequencies(run, of_two, 
     at_terminal(monkeypatch, "3\n2\nnot asked for\n")
     status, out, err = run("identify", of_two, *SHORT)
     assert (status, sys.stdin.read()) == (0, "not asked for\n"), err
-    kept = f'To keep this, {of_two} says\n  [measurement.columns]\n  hz = "right"\n'
+    kept = f'To keep this, add to {of_two}\n  [measurement.columns]\n  hz = "right"\n'
     for said in ("  1  left\n  2  right\n", "received '3', accepted: 1 to 2", kept):
         assert said in err
     with open(of_two, "a", encoding="utf-8") as file:
@@ -280,7 +280,7 @@ def test_an_interrupted_run_with_a_store_says_how_to_go_on(finished, tmp_path, m
         (tmp_path / "round_0000.h5").touch()
     with pytest.raises(KeyboardInterrupt):
         main([*EMCEE.split(), "--store", str(tmp_path)])
-    said = f"finished rounds are kept in {tmp_path}: the same command goes on from there\n"
+    said = f"finished rounds are kept in {tmp_path}: the same command resumes there\n"
     assert capsys.readouterr().err == (said if finished else "")
 
 

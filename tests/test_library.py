@@ -51,11 +51,11 @@ FORWARD, SEQUENCE, CALIBRATE = (cb.forward, "forward"), (cb.sequence, "sequence"
 OF_ANGLES, BESIDE = (IDENTIFY, SEQUENCE), "received beside unknown angles"
 REFUSED_PLATES = [
     ((GAPS,), BY_PSO, "measurement.complete: received false, this version pairs the first model mode"),
-    ((GAPS,), OF_THE_LIST, "measurement.complete: received false, --list measured adds noise to a list"),
+    ((GAPS,), OF_THE_LIST, "measurement.complete: received false, --list measured needs a list"),
     ((NO_LIST,), IDENTIFY, "[measurement] is missing, nothing to identify from"),
     *(((NO_LIST,), q, "[measurement] is missing") for q in (BY_EMCEE, REPORT)),
     ((NO_LIST,), DIAGNOSE, "[measurement] is missing, nothing to be compared with the model"),
-    ((NO_LIST,), OF_THE_LIST, "[measurement] is missing, which --list measured needs"),
+    ((NO_LIST,), OF_THE_LIST, "[measurement] is missing; --list measured needs it"),
     ((NO_LIST,), CALIBRATE, "calibrate needs [unknowns], and a list in [measurement]"),
     *(((NO_UNKNOWNS,), q, "[unknowns] is missing, nothing to identify") for q in (IDENTIFY, SENSITIVITY)),
     ((NO_UNKNOWNS,), DIAGNOSE, "[unknowns] is missing; name the constants that may differ"),
@@ -71,7 +71,7 @@ REFUSED_PLATES = [
     ((MESH,), TO_CCX, "files are written for rectangular plates only; leave mesh out"),
     ((MESH, AIR), FORWARD, "air_density_kg_m3: received 1.2, the air about a plate with a mesh is not"),
     ((AIR,), BY_CCX, "air_density_kg_m3: received 1.2, CalculiX computes plates in vacuum"),
-    ((AIR,), TO_CCX, "air_density_kg_m3: received 1.2, decks hold a plate in vacuum"),
+    ((AIR,), TO_CCX, "air_density_kg_m3: received 1.2, decks model a plate in vacuum"),
     ((ANGLES,), FORWARD, "plate.layup: received [?/0]_s, unknown angles: 1; a known layup is needed"),
     ((ANGLES,), DIAGNOSE, "unknown angles: 1; a known layup is needed"),
     ((ANGLES, CARBON), BY_EMCEE, "let `sequence` or `identify --backend pso` find them"),
@@ -253,7 +253,7 @@ def test_a_result_is_one_line_equal_to_itself_alone_and_draws_what_is_asked_for(
     assert point.plot("predicted_against_measured").axes[0].get_xlabel() == "measured, Hz"
     with pytest.raises(ValueError, match="received 'causes', accepted: residuals predicted_against_measured"):
         point.plot("causes")
-    with pytest.raises(ValueError, match="accepted: nothing to be drawn"):
+    with pytest.raises(ValueError, match="accepted: nothing to draw"):
         cb.plates().plot()
     with pytest.raises(ValueError, match="to_arviz: forward has no draws"):
         modes.to_arviz()

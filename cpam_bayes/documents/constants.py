@@ -359,7 +359,7 @@ class Sequence(PlateAnswer):
     unaccounted_probability: Annotated[Number, Field(description="at most, 0 to 1")]
     angle_marginals: Annotated[list[list[Number]], Field(description="ply by ply, over `angle_grid_deg`")]
     angle_entropy_bits: Annotated[list[Number], Field(description="ply by ply")]
-    angle_entropy_most_bits: Annotated[Number, Field(description="of an angle that is not known")]
+    angle_entropy_most_bits: Annotated[Number, Field(description="of an unknown angle")]
     outer_plies_better_determined: bool
     constants: dict[str, Moments]
     mixture: Mixture

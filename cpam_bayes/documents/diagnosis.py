@@ -93,7 +93,7 @@ class Weighed(TypedDict):
     variant: str | None
     plates: Annotated[Texts, Field(description="those that it acts on")]
     absorbed: Annotated[bool, Field(description="by the constants")]
-    visible_share: Annotated[Number, Field(description="of its signature, that constants do not imitate")]
+    visible_share: Annotated[Number, Field(description="of its signature that constants do not absorb")]
     prior: Probability
 
 
@@ -200,7 +200,7 @@ class NextTest(TypedDict):
     description: str
     information_nats: Annotated[Number, Field(description="expected, nats")]
     possible_nats: Annotated[Number, Field(description="at most, nats")]
-    probability_decided: Annotated[Number, Field(description="that the claim is one cause then, 0 to 1")]
+    probability_decided: Annotated[Number, Field(description="that the claim is then one cause, 0 to 1")]
 
 
 class Absorbed(TypedDict):

@@ -142,7 +142,7 @@ class Pole(TypedDict):
     sd: Annotated[Number, Field(description="standard deviation of the frequency, Hz")]
     damping: Annotated[Number, Field(description="ratio")]
     damping_sd: Annotated[Number, Field(description="standard deviation of the ratio")]
-    height: Annotated[Number, Field(description="of its peak, over what other modes give there")]
+    height: Annotated[Number, Field(description="of its peak, over the contribution of other modes")]
     peak_hz: Annotated[Number, Field(description="frequency of the peak, Hz")]
     hits: Annotated[int, Field(description="that show it")]
 
@@ -165,7 +165,7 @@ class Poles(Answer):
     responses: int
     line_hz: Annotated[Number, Field(description="spacing of the lines, Hz")]
     range_hz: Annotated[Pair, Field(description="ends of the range, Hz")]
-    order: Annotated[int, Field(description="of the model that the poles are of")]
+    order: Annotated[int, Field(description="of the model that gives the poles")]
     modes: list[Pole]
     others: list[OtherPole]
 
@@ -175,8 +175,8 @@ class PredictedMode(Mode, Interval):
 
     mean_hz: Hertz
     sd_hz: Hertz
-    measured_q025: Annotated[Number, Field(description="the same of a measurement of it, Hz")]
-    measured_q975: Annotated[Number, Field(description="the same of a measurement of it, Hz")]
+    measured_q025: Annotated[Number, Field(description="lower end for a measurement, Hz")]
+    measured_q975: Annotated[Number, Field(description="upper end for a measurement, Hz")]
     measured_hz: Hertz
     paired_by: PairedBy
 
@@ -235,7 +235,7 @@ class Design(PlateAnswer):
     relative_std: Annotated[Number, Field(description="repeatability of a frequency, a fraction")]
     relative_std_is_usual: Annotated[bool, Field(description="not stated")]
     relative_std_needed: Annotated[
-        Number, Field(description="of the first candidate to determine the constants")
+        Number, Field(description="at which the first candidate determines the constants")
     ]
     resolution_hz: Hertz
     candidates: list[Candidate]
@@ -247,7 +247,7 @@ class Coin(TypedDict):
 
     list: Annotated[str, Field(description="name of its file")]
     finding: Finding
-    radius_mm: Annotated[Number, Field(description="about the place, in which the mass is with 95 %, mm")]
+    radius_mm: Annotated[Number, Field(description="about the place, with 95 % probability, mm")]
     found_g: Annotated[Number, Field(description="g, null where none is claimed")]
     sd_g: Annotated[Number, Field(description="g")]
     q025_g: Annotated[Number, Field(description="lower end of the 95 % interval, g")]

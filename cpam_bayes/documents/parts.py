@@ -31,7 +31,7 @@ Contraction: TypeAlias = Annotated[Number, Field(description="1 - (sd / sd of th
 ResidualPercent: TypeAlias = Annotated[Number, Field(description="predicted / measured - 1, %")]
 WorstError: TypeAlias = Annotated[Number, Field(description="of the worst frequency, a fraction")]
 AirDensity: TypeAlias = Annotated[Number, Field(description="kg/m3, null for vacuum")]
-Seconds: TypeAlias = Annotated[float, Field(description="wall clock, s, which no seed repeats")]
+Seconds: TypeAlias = Annotated[float, Field(description="wall clock, s, not reproducible")]
 Texts: TypeAlias = list[str]
 Pair: TypeAlias = Annotated[list[float], Field(min_length=2, max_length=2)]
 Places: TypeAlias = list[Pair]
@@ -159,8 +159,8 @@ class Peak(TypedDict):
     mode_probability: Annotated[Number, Field(description="of being a mode, by its height alone")]
     damping: Annotated[Number, Field(description="ratio")]
     predicted_hz: Annotated[Number, Field(description="of the mode that it was paired with, Hz")]
-    taken: Annotated[str, Field(description="what it was taken for")]
-    probability: Annotated[Number | None, Field(description="of what it was taken for")]
+    taken: Annotated[str, Field(description="its classification")]
+    probability: Annotated[Number | None, Field(description="of this classification")]
 
 
 class HandledMode(TypedDict):
@@ -171,7 +171,7 @@ class HandledMode(TypedDict):
     at_pads: Annotated[Number, Field(description="deflection")]
     at_hit: Annotated[Number, Field(description="deflection")]
     at_sensor: Annotated[Number, Field(description="deflection")]
-    lines_mm: Annotated[Pair | None, Field(description="places of two lines that alone would hold it, mm")]
+    lines_mm: Annotated[Pair | None, Field(description="positions of two lines that disturb it least, mm")]
     lines_across: Annotated[Literal["x", "y"] | None, Field(description="the axis that the lines cross")]
 
 

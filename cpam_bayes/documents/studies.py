@@ -277,7 +277,7 @@ class TableCounts(TypedDict):
     table: int
     title: str
     verdicts: dict[str, int]
-    verdicts_of_others: Annotated[dict[str, int], Field(description="of them, of works that the paper cites")]
+    verdicts_of_others: Annotated[dict[str, int], Field(description="of values from works that it cites")]
     percentages: dict[str, int]
 
 

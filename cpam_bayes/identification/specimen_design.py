@@ -120,7 +120,7 @@ def layups_of(specimen: Specimen, layups: Sequence[str] | None) -> tuple[Layup, 
     present = specimen.plate.layup
     if present.kinds:
         if layups:
-            raise ValueError(f"layups: received for {present.text}, accepted: for plates of equal plies")
+            raise ValueError(f"layups: received a plate of {present.text}, accepted: plates of equal plies")
         return (present,)
     if layups:
         return tuple(_layup(text) for text in layups)

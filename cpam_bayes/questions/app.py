@@ -81,7 +81,7 @@ def _present(result: AppResult) -> Report:
     return Report(
         summary=Summary(
             title="app",
-            headline="The page has ended; nothing is lost.",
+            headline="The page is closed; nothing is lost.",
             lines=(f"Plate files and unsaved work are in {result.folder}.",),
         ),
         document={
@@ -126,7 +126,7 @@ def app(
         from cpam_bayes.workbench import server
     except ModuleNotFoundError as error:
         raise ValueError(
-            f"app: {error.name} is not installed, which the page needs; "
+            f"app: the page needs {error.name}, which is not installed; "
             'python -m pip install "cpam-bayes[app]"'
         ) from None
     from cpam_bayes.workbench.visit import Desk, Material, Tasks, Visit
@@ -442,7 +442,7 @@ COMMAND: Final = Command(
             type=whole(0, 65535),
             default=_PORT,
             metavar="N",
-            help=f"port of 127.0.0.1, 0 for any that is free (default: {_PORT})",
+            help=f"port of 127.0.0.1, 0 for any free one (default: {_PORT})",
         ),
         option("--no-browser", action="store_true", help="do not open a browser"),
     ),

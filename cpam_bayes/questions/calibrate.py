@@ -185,7 +185,7 @@ def _plain_list(specimen: Specimen) -> Specimen:
     if measurement is None or not specimen.unknowns.size:
         raise PlateFileError(
             f"{specimen.source}: calibrate needs [unknowns], and a list in [measurement] for the number of "
-            "modes and how well they repeat"
+            "modes and their repeatability"
         )
     if measurement.frequency_sd is not None:
         raise PlateFileError(
@@ -231,7 +231,7 @@ _COLUMNS: Final = (
     *(_share(level) for level in range(3)),
     Column(None, "coverage_95", lambda c: c.widest.share),
     Column(None, "standard_error", lambda c: c.widest.standard_error),
-    Column("p of its ranks", "p_value", lambda c: c.p_value, "{:.2f}".format, number=True),
+    Column("p of ranks", "p_value", lambda c: c.p_value, "{:.2f}".format, number=True),
 )
 
 
@@ -253,11 +253,11 @@ def _present(result: CalibrationResult) -> Report:
                 f"Ranks are not uniform for {listed(doubtful, 'and')}: do not rely on these intervals."
                 if doubtful
                 else "Ranks are uniform within chance.",
-                "Judged are priors, likelihood and sampler; in these lists the plate model is right.",
+                "This checks priors, likelihood and sampler, not the plate model.",
                 *((f"{n - converged} chains did not converge.",) if converged < n else ()),
             ),
             next_step=(
-                "which constants has the plate?  cpam-bayes identify "
+                "what are the plate's constants?  cpam-bayes identify "
                 f"{plate_argument(result.specimen)} --backend emcee"
             ),
         ),
@@ -281,9 +281,9 @@ def _present(result: CalibrationResult) -> Report:
                 "ranks",
                 partial(_draw_ranks, result),
                 Caption(
-                    "Ranks of the true values among draws of their posteriors. Where all is right the bars "
-                    "stay within the grey band: a heap in the middle shows intervals that are too wide, "
-                    "heaps at both ends intervals that are too narrow, a slope a bias.",
+                    "Ranks of the true values among draws of their posteriors. Bars within the grey band are "
+                    "as expected; a peak in the middle shows intervals that are too wide, peaks at both ends "
+                    "intervals that are too narrow, a slope a bias.",
                     f"Histograms of the ranks of {len(result.constants)} parameters over {n} lists.",
                 ),
             ),
@@ -325,7 +325,7 @@ def _draw_ranks(result: CalibrationResult) -> Figure:
             title=_shown(constant.name),
             xlim=(0.0, 1.0),
             ylim=(0.0, None),
-            xlabel="rank of the truth",
+            xlabel="rank of the true value",
         )
     for panel in panels[len(result.constants) :]:
         panel.set_visible(False)

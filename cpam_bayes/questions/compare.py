@@ -199,16 +199,14 @@ def _next_step(result: CompareResult) -> str:
     moduli = [d for d in result.differences.values() if unit_of(d.name) and not d.is_open]
     if moduli and all(d.differs for d in moduli) and len({d.percent > 0.0 for d in moduli}) == 1:
         names = listed([row.name for row in result.rows], "and")
-        return f"gauge {names}: a thickness off by 1 % changes all moduli by 2 %, of a weighed plate by 3 %."
-    return (
-        f"which of them is as the data sheet says?  cpam-bayes batch {' '.join(r.file for r in result.rows)}"
-    )
+        return f"gauge {names}: 1 % error in thickness changes all moduli by 2 %, by 3 % if weighed."
+    return f"which one agrees with the data sheet?  cpam-bayes batch {' '.join(r.file for r in result.rows)}"
 
 
 COMMAND: Final = Command(
     compare,
     (
         option("a", metavar="A", help="built-in specimen or path of a plate file"),
-        option("b", metavar="B", help="another one, which is compared with A"),
+        option("b", metavar="B", help="another one, to compare with A"),
     ),
 )

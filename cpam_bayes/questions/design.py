@@ -406,7 +406,7 @@ def _noise(result: DesignResult) -> str:
 def _sizes(result: DesignResult) -> str:
     sizes = [name.replace("_", " ") for name in known_errors(result.specimen)]
     clamps = any(edge.is_clamp for c in result.candidates for edge in conditions(c.geometry.edges))
-    within = listed([*sizes, *(["clamps that give"] if clamps else [])], "and")
+    within = listed([*sizes, *(["clamp compliance"] if clamps else [])], "and")
     return f"The standard deviations contain noise and errors of {within}."
 
 
@@ -418,12 +418,12 @@ def _next_step(result: DesignResult) -> str:
         return f"{made} ({best.n_modes} lowest modes) and identify its constants, as in {identify}"
     if result.needed_std is not None:
         return (
-            f"measure more exactly: the best specimen determines {asked} at a repeatability of "
+            f"measure more precisely: the best specimen determines {asked} at a repeatability of "
             f"{significant(100.0 * result.needed_std, 1)} %."
         )
     return (
-        "ask for more modes, or give a prior from a tensile test: at no repeatability does "
-        f"the best specimen determine {asked}."
+        "ask for more modes, or give a prior from a tensile test: the best specimen determines "
+        f"{asked} at no repeatability."
     )
 
 
@@ -432,7 +432,7 @@ def _computation(result: DesignResult) -> tuple[tuple[str, str], ...]:
         ("model", "Ritz, first-order shear deformation, at the reference constants"),
         (
             "information",
-            "Laplace's approximation: the Fisher information of the list beside the priors. It "
+            "Laplace's approximation: Fisher information of the list and the priors. It "
             "compares specimens; intervals come from `identify`",
         ),
         ("specimens", f"{len({id(c.geometry) for c in result.candidates})} computed"),
@@ -460,11 +460,10 @@ def _maps(result: DesignResult) -> list[Drawing]:
             partial(_map, result, what, value),
             Caption(
                 f"Darker: the frequencies of this specimen would say more about {what}. The number is the "
-                "expected information in nats; for one constant, 1.2 nats make its standard deviation a "
-                "third of the prior's, from which it counts as determined. Frame: the plate as it is. Star: "
-                "the best.",
-                f"Expected information about {what} over layups and length to width, a panel for each edges "
-                "and number of modes.",
+                "expected information in nats; for one constant, 1.2 nats cut its standard deviation to a "
+                "third of the prior's: it counts as determined. Frame: the plate as it is. Star: the best.",
+                f"Expected information about {what} by layup and length / width, a panel for each edge "
+                "condition and number of modes.",
             ),
         )
         for name, what, value in about
@@ -550,7 +549,7 @@ COMMAND: Final = Command(
             "--constants",
             nargs="+",
             metavar="NAME",
-            help="those that the information is about, such as nu12 (default: all of [unknowns])",
+            help="constants to be determined, such as nu12 (default: all of [unknowns])",
         ),
         option(
             "--layups",

@@ -151,7 +151,7 @@ def _sets(title: str, shapes: UniversalShapes) -> Sequence[dict[str, Any]]:
 
 
 _NO_MESH: Final = "files are written for rectangular plates only; leave mesh out"
-_NO_AIR: Final = "decks hold a plate in vacuum; leave air_density_kg_m3 out"
+_NO_AIR: Final = "decks model a plate in vacuum; leave air_density_kg_m3 out"
 Format = Literal["ccx", "uff"]
 _ENDINGS: Final[dict[Format, str]] = {"ccx": ".inp", "uff": ".unv"}
 _TYPE: Final[dict[Element, str]] = {"shell": "S8R", "brick": "C3D20R"}
@@ -278,9 +278,9 @@ def _require_writable(path: Path, force: bool) -> None:
         if not replaceable(path):
             raise ValueError(f"{shown}: a link, pipe or device, accepted: a regular file or a new name")
         if os.path.lexists(path) and not force:
-            raise ValueError(f"{shown}: exists; give another name, or --force to write over it")
+            raise ValueError(f"{shown}: exists; give another name, or --force to overwrite it")
         if not path.parent.is_dir():
-            raise ValueError(f"{shown}: {path.parent} is no directory")
+            raise ValueError(f"{shown}: {path.parent} is not a directory")
     except OSError as error:
         raise ValueError(f"{shown}: cannot be written to: {error.strerror}") from None
 
@@ -395,8 +395,8 @@ COMMAND: Final = Command(
             "--to",
             choices=get_args(Format),
             required=True,
-            help="ccx: an input file of CalculiX, and ABAQUS reads it too; uff: the predicted modes as a "
-            "universal file, datasets 15 and 55",
+            help="ccx: an input file for CalculiX and ABAQUS; uff: the predicted modes as a universal file, "
+            "datasets 15 and 55",
         ),
         option(
             "--element",
@@ -410,10 +410,9 @@ COMMAND: Final = Command(
             "path",
             dest="file",
             metavar="FILE",
-            help="the file to write, not a directory as of other commands (default: PLATE.inp or PLATE.unv, "
-            "here)",
+            help="the file to write, not a directory (default: PLATE.inp or PLATE.unv, here)",
         ),
-        option("--force", action="store_true", help="write over a file that is there"),
+        option("--force", action="store_true", help="overwrite an existing file"),
     ),
     out=None,
     watched=False,

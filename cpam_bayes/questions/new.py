@@ -145,9 +145,7 @@ def plate_file_text(known: KnownPlate) -> str:
             [80.2, 146.3, 218.6],
             "ascending, from the first",
         ),
-        _line(
-            "table", known.table, "modes.csv", "instead: columns mode, hz, and if present hit, sd, damping"
-        ),
+        _line("table", known.table, "modes.csv", "instead: columns mode, hz, optionally hit, sd, damping"),
     ]
     if known.table is not None or known.frequencies_hz:
         measured = [line for line in measured if not line.startswith("#")]
@@ -158,7 +156,7 @@ def plate_file_text(known: KnownPlate) -> str:
         [f"name = {json.dumps(known.name, ensure_ascii=False)}"],
         ["[plate]", *plate],
         [
-            "# how well the plate was measured: the intervals of the constants then contain it",
+            "# uncertainty of sizes and mass, which the intervals of the constants then contain",
             "[plate.sd]" if known.thickness_sd_mm is not None else "# [plate.sd]",
             _line("thickness_mm", known.thickness_sd_mm, 0.02, "standard deviation of the mean thickness"),
             "# mass_g = 0.1",
@@ -166,7 +164,7 @@ def plate_file_text(known: KnownPlate) -> str:
         ["[material]", *of_material],
         ["# what to identify, with the bounds of the search", "[unknowns]", *unknown],
         [
-            "# a mass that stays on the plate while it is tapped, such as an accelerometer",
+            "# a mass on the plate during the test, such as an accelerometer",
             "[[sensor]]" if known.accelerometer is not None else "# [[sensor]]",
             *(
                 _line(key, value, example, "")
@@ -198,7 +196,7 @@ def material_lines(material: TypicalMaterial) -> tuple[tuple[str, ...], tuple[st
     head, unknown = _stated_lines(material, ())
     return (
         *head[:2],
-        f"{'known = false':<28} # typical ({material.source}): until this line is gone, bounds alone count",
+        f"{'known = false':<28} # typical ({material.source}): until this line is removed, only bounds count",
         *(_line(key, value, 0.0, "") for key, value in material.constants.items()),
     ), unknown
 
@@ -212,7 +210,7 @@ def _stated_lines(
         _line("name", material.name, "", "plates of one name share their constants in `diagnose`"),
         _line("symmetry", material.symmetry, "", "isotropic, transversely_isotropic or orthotropic"),
         *(
-            _line(key, value, typical, "of the data sheet")
+            _line(key, value, typical, "from the data sheet")
             for (key, typical), value in zip(material.constants.items(), given, strict=True)
         ),
     ), tuple(
@@ -229,7 +227,7 @@ def _bounds_line(key: str, pair: tuple[float, float], value: float | None, symme
     largest = _LARGEST_NU if symmetry == "isotropic" and key == "nu12" else math.inf
     wider = [min(lower, (1.0 - _ROOM) * value), max(upper, min((1.0 + _ROOM) * value, largest))]
     return _line(
-        key, [float(f"{bound:.3g}") for bound in wider], [], "wider than usual: holds the data sheet"
+        key, [float(f"{bound:.3g}") for bound in wider], [], "wider than usual, to hold the data sheet"
     )
 
 
@@ -378,7 +376,7 @@ def _without_place(problem: str) -> str:
 @present.register
 def _present(result: NewPlateResult) -> Report:
     many = len(result.missing)
-    lacks = f"it lacks {many} entr{'y' if many == 1 else 'ies'}" if many else "it can be read as it is"
+    lacks = f"{many} entr{'y' if many == 1 else 'ies'} missing" if many else "no entry missing"
     return Report(
         summary=Summary(
             title="new",
@@ -388,7 +386,7 @@ def _present(result: NewPlateResult) -> Report:
                 "The bounds of the search are typical of the material.",
                 *(() if result.handling is None else (result.handling.sentence,)),
             ),
-            next_step="fill in the lines that begin with #, and see how the file is read:  "
+            next_step="fill in the lines that begin with #, then check the file:  "
             f"cpam-bayes forward {shlex.quote(str(result.path))}",
         ),
         document={
@@ -422,9 +420,7 @@ def _numbers(text: str) -> tuple[float, ...]:
     """Numbers, all with decimal points or all with commas; a lone one with a comma is ambiguous, refused."""
     values = numbers_of(text)
     if values is None:
-        raise ValueError(
-            f"received {text!r}, accepted: numbers with spaces between them, such as 310 228 3.1"
-        )
+        raise ValueError(f"received {text!r}, accepted: numbers separated by spaces, such as 310 228 3.1")
     return values
 
 
@@ -451,7 +447,7 @@ QUESTIONS: Final = (
     ),
     Question(
         "constants",
-        "E1 E2 nu12 G12 of its data sheet in GPa, of a metal E1 nu12; left empty: to be put into the file",
+        "E1 E2 nu12 G12 from its data sheet in GPa, for a metal E1 nu12; left empty: add them to the file",
         _numbers,
     ),
     Question("layup", 'Layup in degrees, bottom to top, such as [0/90]_2s or [0_8]; "?" is unknown', str),
@@ -460,17 +456,19 @@ QUESTIONS: Final = (
     ),
     Question(
         "thickness_sd_mm",
-        "How well the mean thickness is known: its standard deviation in mm, such as 0.02",
+        "Standard deviation of the mean thickness in mm, such as 0.02",
         _number,
     ),
     Question(
         "accelerometer",
-        "Accelerometer: its mass in g and place x y in mm, such as 0.6 300 220; left empty: a microphone",
+        "Accelerometer: its mass in g and place x y in mm, such as 0.6 300 220; left empty: none",
         _numbers,
     ),
-    Question("air_density_kg_m3", "Was it tapped in air? yes or no", _in_air),
-    Question("table", "Table of measured modes, its path from the plate file; left empty: asked next", str),
-    Question("frequencies_hz", "Measured frequencies in Hz, ascending, with spaces between them", _numbers),
+    Question("air_density_kg_m3", "Was it tested in air? yes or no", _in_air),
+    Question(
+        "table", "Table of measured modes, path from the plate file; left empty: enter frequencies next", str
+    ),
+    Question("frequencies_hz", "Measured frequencies in Hz, ascending, separated by spaces", _numbers),
 )
 
 
@@ -480,8 +478,7 @@ def asked(check: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
     check : raises ValueError for an impossible answer; the question is then repeated
     """
     print(
-        f"What is known of the plate? An empty line for what is not; {_BACK} takes the answer before back; "
-        "Ctrl-C ends.",
+        f"What is known about the plate? Leave unknown entries empty; {_BACK} goes back; Ctrl-C quits.",
         file=sys.stderr,
     )
     at, before = 0, [dict[str, Any]()]  # what was known before each of the questions so far
@@ -511,7 +508,7 @@ def _answer(
         try:
             text = input().strip()
         except EOFError:
-            raise ValueError("the questions were not answered to the end; nothing is written") from None
+            raise ValueError("not all questions were answered; nothing is written") from None
         if not text:
             return given
         if text == _BACK:
@@ -520,7 +517,7 @@ def _answer(
             told = {**given, question.key: question.read(text)}
             check(told)
         except ValueError as error:
-            back = f" ({_BACK} goes back to the answer before)" if given else ""
+            back = f" ({_BACK} goes back to the last question)" if given else ""
             print(f"  {error}{back}", file=sys.stderr)
         else:
             return told
@@ -540,7 +537,7 @@ _given: Final = partial(option, default=argparse.SUPPRESS)
 COMMAND: Final = Command(
     new,
     (
-        option("file", metavar="FILE", help="the plate file to write; never written over"),
+        option("file", metavar="FILE", help="the plate file to write; never overwritten"),
         _given(
             "--size",
             "size_mm",
@@ -569,14 +566,14 @@ COMMAND: Final = Command(
         _given(
             "--material",
             choices=tuple(MATERIALS),
-            help=f"whose typical bounds the search has (default: {_FIRST_MATERIAL})",
+            help=f"sets typical bounds of the search (default: {_FIRST_MATERIAL})",
         ),
         _given(
             "--constants",
             nargs="+",
             type=_NUMBER,
             metavar="VALUE",
-            help="E1 E2 nu12 G12 of the data sheet, GPa; of a metal E1 nu12",
+            help="E1 E2 nu12 G12 from the data sheet, GPa; for a metal E1 nu12",
         ),
         _given(
             "--thickness-sd",
@@ -590,14 +587,14 @@ COMMAND: Final = Command(
             nargs=3,
             type=float,
             metavar=("GRAMS", "X", "Y"),
-            help="a mass that stays on the plate, g, and its place, mm",
+            help="a mass on the plate during the test, g, and its place, mm",
         ),
         _given(
             "--air",
             "air_density_kg_m3",
             type=_NUMBER,
             metavar="DENSITY",
-            help=f"density of the air about the plate, {ROOM_AIR:g} kg/m3 in a room",
+            help=f"density of the surrounding air, {ROOM_AIR:g} kg/m3 in a room",
         ),
         _given(
             "--frequencies",
@@ -610,7 +607,7 @@ COMMAND: Final = Command(
         _given(
             "--table",
             metavar="TABLE",
-            help="a table of modes in place of --frequencies, its path from FILE",
+            help="a table of modes instead of --frequencies, path from FILE",
         ),
     ),
     out=None,

@@ -63,13 +63,13 @@ def _present(result: BuiltinPlates) -> Report:
     return Report(
         summary=Summary(
             title="plates",
-            headline=f"{len(result.specimens)} specimens of the paper are built in, to be named as PLATE.",
+            headline=f"{len(result.specimens)} specimens of the paper are built in; name one as PLATE.",
             tables=(rows.table("Built-in specimens"),),
             lines=(
                 f"Size: length x width x thickness. Edges at {', '.join(PLACES)}: {EDGE_KEY}.",
                 f'Thick: 1/{THIN:.0f} of the shorter side or more. In a shell write "D&G" in quotes.',
             ),
-            next_step="which constants has a specimen?  cpam-bayes identify A1",
+            next_step="what are a specimen's constants?  cpam-bayes identify A1",
         ),
         document={"command": result.command, "version": __version__, "plates": rows.records()},
         rows=(rows,),

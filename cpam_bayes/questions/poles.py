@@ -239,7 +239,7 @@ _OTHERS: Final = (
     Column("Hz", "hz", lambda one: one.frequency, lambda f: f"{f:.5g}", number=True),
     Column("height", "height", lambda one: one.height, lambda h: significant(h, 2), number=True),
     Column("hits", "hits", lambda one: one.hits, number=True),
-    Column("taken for", "taken", lambda one: one.taken.value),
+    Column("classified as", "taken", lambda one: one.taken.value),
 )
 
 
@@ -261,14 +261,14 @@ def _present(result: PolesResult) -> Report:
         ("read", test.responses.origin),
         ("lines", f"{test.responses.step:.6g} Hz apart"),
         ("range", f"{test.low:.6g} to {test.high:.6g} Hz"),
-        ("orders", f"2 to {test.order} poles an octave, least-squares complex frequency domain"),
+        ("orders", f"2 to {test.order} poles per octave, least-squares complex frequency domain"),
         (
             "poles",
-            f"{len(found.orders)}, of which {int(found.stable.sum())} are in the order below as well",
+            f"{len(found.orders)}, of which {int(found.stable.sum())} also occur at the order below",
         ),
         (
             "candidates",
-            f"{len(found.candidates)} stay over many orders; {len(result.modes)} modes",
+            f"{len(found.candidates)} recur over many orders; {len(result.modes)} modes",
         ),
     )
     return Report(
@@ -284,11 +284,7 @@ def _present(result: PolesResult) -> Report:
         ),
         sections=(
             Section("Spectrum", figures=("spectrum",), folded=False),
-            *(
-                (Section("Not taken for modes", (others.table("Not taken for modes"),)),)
-                if result.others
-                else ()
-            ),
+            *((Section("Rejected poles", (others.table("Rejected poles"),)),) if result.others else ()),
             Section("Stability diagram", figures=("stability",)),
             Section(COMPUTATION, (facts("Computation", computed),)),
         ),
@@ -316,8 +312,8 @@ def _contained(modes: Sequence[Pole]) -> str:
     of_hits = "the scatter from hit to hit"
     contained, missing = ("", f"{of_hits}, ") if len(modes[0].each) <= 1 else (f" and {of_hits}", "")
     return (
-        f"The standard deviations contain the noise{contained}. Not contained: {missing}how the plate hangs, "
-        "its temperature, where it is hit, and the mass of an accelerometer, which [[sensor]] states."
+        f"The standard deviations contain noise{contained}. Not contained: {missing}suspension, temperature, "
+        "hit position, and the mass of an accelerometer, which [[sensor]] states."
     )
 
 
@@ -383,8 +379,8 @@ COMMAND: Final = Command(
         option(
             "--window",
             choices=WINDOWS,
-            help=".wav: what records are multiplied by (default: none); exponential: a decay to 1 %% at "
-            "their ends, taken off again",
+            help=".wav: window of the records (default: none); exponential: a decay to 1 %% at their "
+            "ends, whose damping is subtracted",
         ),
         option(
             "--range",
@@ -392,8 +388,8 @@ COMMAND: Final = Command(
             type=positive(_MOST_HZ, "frequency"),
             nargs=2,
             metavar=("LOW", "HIGH"),
-            help="Hz (default: from 20 Hz or the first lines; of hits up to where the force has fallen to a "
-            "tenth, of decays a quarter above the last line that stands above noise)",
+            help="Hz (default: from 20 Hz or the first lines; for hits up to where the force has fallen to a "
+            "tenth, for decays a quarter above the last line above noise)",
         ),
         option(
             "--order",

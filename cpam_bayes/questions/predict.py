@@ -201,8 +201,8 @@ def _predicted(
     possible = specimen.material.admissible(drawn)
     if np.count_nonzero(possible) < 2:
         raise ValueError(
-            f"{specimen.source}: no draw of {stored.source} is a material that can be, with the other "
-            "constants of [material]; give the ones that were held there"
+            f"{specimen.source}: no draw of {stored.source} is a possible material with the other "
+            "constants of [material]; give those that were held fixed there"
         )
     parameters = ParameterSet(tuple(_over(name, values) for name, values in drawn.items()))
     x = parameters.vector(drawn)[possible]
@@ -291,8 +291,8 @@ def _require_same_kind(specimen: Specimen, stored: StoredPosterior) -> None:
         return
     of = stored.symmetry or f"with {listed(stored.constants, 'and')}"
     raise PlateFileError(
-        f"{specimen.source}: the material is {symmetry}, that of {stored.source} is {of}; a posterior says "
-        "nothing of another kind of material: give [material] the same symmetry"
+        f"{specimen.source}: the material is {symmetry}, that of {stored.source} is {of}; a posterior is "
+        "for one kind of material: give [material] the same symmetry"
     )
 
 
@@ -466,10 +466,8 @@ def _noise(stored: StoredPosterior) -> str:
     elif stored.repeatability is not None:
         level = f"{significant(100.0 * stored.repeatability, 2)} %"
     else:
-        return "The noise of a measurement is not known."
-    return (
-        f"A measurement scatters by {level} more. Not contained: an error of the model for one plate alone."
-    )
+        return "Measurement noise is unknown."
+    return f"A measurement adds noise of {level}. Not contained: model errors specific to this plate."
 
 
 def _steps(specimen: Specimen) -> tuple[str, ...]:
@@ -558,7 +556,7 @@ COMMAND: Final = Command(
             type=whole(2, MAX_DRAWS),
             default=DEFAULT_DRAWS,
             metavar="N",
-            help=f"draws of the posterior at most, 2 to {MAX_DRAWS} (default: {DEFAULT_DRAWS})",
+            help=f"posterior draws at most, 2 to {MAX_DRAWS} (default: {DEFAULT_DRAWS})",
         ),
     ),
 )

@@ -202,7 +202,7 @@ def _each_once(texts: Iterable[str]) -> tuple[str, ...]:
 
 
 _RIGHT: Final = "If nothing is wrong"
-_HOLDS: Final = "Here plate and list are taken as right: these are not the constants of the answer."
+_HOLDS: Final = "These constants assume that plate and list are right; they are not the answer."
 
 
 @present.register
@@ -272,10 +272,10 @@ def _all_rows(result: FullReport) -> tuple[Section, ...]:
     if result.all_rows is None:
         return ()
     used, of_both = result.specimen.measurement, (result.all_rows, result.identification)
-    tables = zip(("With all frequencies", "With those that were used"), of_both, strict=True)
+    tables = zip(("With all frequencies", "With those used"), of_both, strict=True)
     return (
         Section(
-            "Frequencies were left out by hand",
+            "Frequencies left out by hand",
             (
                 remarks("By hand", () if used is None else used.remarks),
                 *(replace(part.report().summary.tables[0], title=title) for title, part in tables),
@@ -335,8 +335,7 @@ COMMAND: Final = Command(
         option(
             "--quick",
             action="store_true",
-            help="leave out what is slow: emcee, the enumeration of stacking sequences, the ranking of "
-            "further tests",
+            help="skip what is slow: emcee, enumeration of stacking sequences, ranking of further tests",
         ),
         EXECUTOR,
         WORKERS,

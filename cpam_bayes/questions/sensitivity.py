@@ -198,11 +198,11 @@ def sensitivity(
 
 def _require_complete(specimen: Specimen) -> None:
     if specimen.measurement is None:
-        raise PlateFileError(f"{specimen.source}: [measurement] is missing, which --list measured needs")
+        raise PlateFileError(f"{specimen.source}: [measurement] is missing; --list measured needs it")
     if not specimen.measurement.complete:
         raise PlateFileError(
-            f"{specimen.source}: measurement.complete: received false, --list measured adds noise to a list "
-            "without gaps only; use --list model"
+            f"{specimen.source}: measurement.complete: received false, --list measured needs a list "
+            "without gaps; use --list model"
         )
 
 
@@ -240,7 +240,7 @@ def _present(result: SensitivityResult) -> Report:
             tables=(_spreads(study, by_cell),),
             lines=(_agreement(rows), f"Noise is added to {_LISTS[study.source]}."),
             next_step=(
-                "which constants has the plate, and how exactly?  cpam-bayes identify "
+                "what are the plate's constants and their accuracy?  cpam-bayes identify "
                 f"{plate_argument(result.specimen)} --backend emcee"
             ),
         ),
@@ -251,7 +251,7 @@ def _present(result: SensitivityResult) -> Report:
                 (
                     *tables,
                     remarks("Where repetition and posterior differ", difference_sentences(rows)),
-                    remarks("Beside the paper", beside_paper(study, result.table)),
+                    remarks("Compared with the paper", beside_paper(study, result.table)),
                 ),
                 ("sensitivity",),
                 folded=False,
@@ -310,7 +310,7 @@ def _spreads(study: Sensitivity, by_cell: list[tuple[ComparedRow, ...]]) -> Tabl
 def _agreement(rows: tuple[ComparedRow, ...]) -> str:
     agree = sum(not r.comparison.causes for r in rows)
     said = f"Repetition and posterior agree within chance in {agree} of {len(rows)} comparisons"
-    return f"{said}." if agree == len(rows) else f"{said}; --verbose says why not in the others."
+    return f"{said}." if agree == len(rows) else f"{said}; --verbose explains the others."
 
 
 def _computation(study: Sensitivity, seed: int) -> tuple[tuple[str, str], ...]:
@@ -322,14 +322,14 @@ def _computation(study: Sensitivity, seed: int) -> tuple[tuple[str, str], ...]:
         ("repetition", f"{n} noisy lists, each inverted by the swarm, eq. (7): mean and sd over the {n}"),
         (
             "error",
-            "mean over the noise-free inversion - 1; se: standard error of the mean, sd / sqrt(groups)",
+            "mean / noise-free inversion - 1; se: standard error of the mean, sd / sqrt(groups)",
         ),
         (
             "search",
             f"without noise {study.found_again} of {study.starts} swarms found the best constants; "
-            f"{restarted} swarms on noisy lists missed the minimum and were started anew",
+            f"{restarted} swarms on noisy lists missed the minimum and were restarted",
         ),
-        ("posterior", "one, of the list without added noise, its noise known to be that of the level"),
+        ("posterior", "one, of the list without added noise; its noise is set to the level"),
         (
             "work",
             f"{sum(cell.repetition.solves for cell in cells)} forward solves of the swarms, "

@@ -377,7 +377,7 @@ def _present(result: StackingResult) -> Report:
                 "Constants over all sequences",
                 (
                     mixture_table(answer, mixture, given),
-                    remarks("Bounds and priors that count", _reliance(result, told)),
+                    remarks("Influential bounds and priors", _reliance(result, told)),
                     errors_table(errors, told),
                 ),
                 ("constants",),
@@ -508,8 +508,8 @@ def _work(result: StackingResult) -> list[tuple[str, str]]:
         rows.append(
             (
                 "surrogate",
-                f"trained on {check.training_size} sequences; off by {check.rms:.2f} (rms), "
-                f"{check.largest:.2f} (most) in log evidence on draws from the result, which correct its sum",
+                f"trained on {check.training_size} sequences; log evidence off by {check.rms:.2f} (rms), "
+                f"{check.largest:.2f} (most) on draws from the result, which correct its sum",
             )
         )
     rows.append(("reduced basis", basis_error_text(answer.basis_error)))
@@ -525,7 +525,7 @@ def _noise(result: StackingResult) -> str:
     said = f"{level}, from the plate file"
     if result.fit.p_value is None:
         return said
-    return f"{said}; alone it leaves residuals like these or larger with probability {result.fit.p_value:.2g}"
+    return f"{said}; alone it gives residuals this large with probability {result.fit.p_value:.2g}"
 
 
 def _document(result: StackingResult, sequences: Rows, frequencies: Rows) -> dict[str, Any]:
@@ -623,8 +623,8 @@ COMMAND: Final = Command(
             type=whole(1, MAX_LISTED),
             default=100,
             metavar="N",
-            help=f"most probable sequences in the JSON document, 1 to {MAX_LISTED}, of which the screen has "
-            f"the first {_SHOWN} (default: 100)",
+            help=f"most probable sequences in the JSON document, 1 to {MAX_LISTED}, of which the screen "
+            f"shows the first {_SHOWN} (default: 100)",
         ),
         EXECUTOR,
         WORKERS,

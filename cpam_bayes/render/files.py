@@ -99,7 +99,7 @@ def require_table(path: str | None, ending: str) -> None:
         raise ValueError(f"--{ending}: received {path!r}, accepted: a file that ends in .{ending}")
     if not file.parent.is_dir() or not replaceable(file):
         raise ValueError(
-            f"--{ending} {path}: cannot be written to, accepted: a file in a directory that is there"
+            f"--{ending} {path}: cannot be written to, accepted: a file in an existing directory"
         )
 
 
@@ -139,7 +139,7 @@ def _other_kept(
         return ()
     kept = file.with_name(f"{other}_{name}")
     put_in_place(file, kept)
-    return (f"{file} is now that of {command}, that of {other} is kept as {kept.name}",)
+    return (f"{file} is now from {command}; that from {other} is kept as {kept.name}",)
 
 
 def _moved(draft: Path, directory: Path) -> None:
@@ -166,7 +166,7 @@ def _draft(directory: Path, stack: ExitStack) -> Path:
     figures = directory / _FIGURES
     try:
         if figures.exists() and not (figures.is_dir() and os.access(figures, os.W_OK | os.X_OK)):
-            raise ValueError(f"--out {directory}: {figures} is no directory to write to")
+            raise ValueError(f"--out {directory}: {figures} is not a writable directory")
         return stack.enter_context(draft_directory(directory))
     except OSError as error:
         raise _refused(directory, error) from None

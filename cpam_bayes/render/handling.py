@@ -171,7 +171,7 @@ def _held_on(mode: Handled) -> str | None:
 _COLUMNS: Final = (
     Column("mode", "mode", lambda m: m.number, number=True),
     Column("Hz", "frequency_hz", lambda m: m.frequency, lambda f: significant(f, 4), number=True),
-    Column("alone on lines, mm", None, _held_on),
+    Column("lines for this mode alone, mm", None, _held_on),
     Column(
         "moves at the pads %", "at_pads", lambda m: m.at_pads if m.across else None, _percent, number=True
     ),
@@ -198,10 +198,10 @@ def handling_drawing(specimen: Specimen, handling: Handling | None) -> tuple[Dra
     """The plate with the places marked."""
     if handling is None:
         return ()
-    pads = "Blue rings: soft pads, where the mode that they shift most is shifted least. "
+    pads = "Blue rings: soft pads, where their largest frequency shift is least. "
     text = (
         f"{pads if handling.pads else ''}Cross: hit here. Ring with a point: measure here. "
-        "The table has what each mode moves there, of its largest deflection."
+        "The table gives the deflection of each mode there, as a share of its largest."
     )
     return (
         Drawing(

@@ -92,22 +92,22 @@ def _reference_outside(facts: Facts) -> str:
     each = []
     for name, *values in facts["outside"]:
         value, low, high = (f"{to_user(name, v):.5g}" for v in values)
-        each.append(f"{user_name(name)} = {value} lies outside its bounds {low} to {high}")
-    return f"A reference is outside the search: {_names(each)}. Correct the value or widen the bounds."
+        each.append(f"{user_name(name)} = {value} (bounds {low} to {high})")
+    return f"Reference outside its bounds: {_names(each)}. Correct the value or widen the bounds."
 
 
 def _few_frequencies(facts: Facts) -> str:
     n, unknowns = facts["frequencies"], facts["unknowns"]
     return (
         f"{n} {'frequency' if n == 1 else 'frequencies'} for {unknowns} unknowns: the bounds decide the "
-        f"answer. Measure at least {unknowns + 2} frequencies, or state known constants as known."
+        f"answer. Measure at least {unknowns + 2} frequencies, or fix the known constants."
     )
 
 
 def _no_frequency_over(facts: Facts) -> str:
     n = facts["count"]
     many = "1 frequency for 1 unknown" if n == 1 else f"{n} frequencies for {n} unknowns"
-    return f"{many}: none is left over to judge the fit, and bounds or priors decide what they leave open."
+    return f"{many}: none is left to check the fit, and bounds or priors decide the rest."
 
 
 def _large_stated_noise(facts: Facts) -> str:
@@ -129,8 +129,8 @@ def _thicknesses_apart(facts: Facts) -> str:
     gauged, by_mass, taken = (_in_mm(*facts[key]) for key in ("gauged", "by_mass", "taken"))
     return (
         f"Thickness, mass and density{_of_plate(facts)} disagree: {gauged} as gauged, {by_mass} by mass over "
-        f"density, {facts['apart']:.1f} standard deviations apart. One of them, or a side, is wrong: {taken} "
-        "is taken, which allows for both."
+        f"density, {facts['apart']:.1f} standard deviations apart. One of them, or a side, is wrong; {taken} "
+        "is used, which covers both."
     )
 
 
@@ -144,7 +144,7 @@ def _equal_lists(facts: Facts) -> str:
     how = "are equal" if apart == 0.0 else f"differ by at most {_percent(apart)}"
     return (
         f"The frequencies of {first} and {second} {how}: one plate measured twice is not two plates, and "
-        "makes the answer too sure. Give one plate file with the mean of both lists."
+        "makes the intervals too narrow. Give one plate file with the mean of both lists."
     )
 
 
@@ -153,7 +153,7 @@ def _axes_exchange(facts: Facts) -> str:
     why = "the plate is square with four equal edges" if square else "ply angles are unknown"
     label = ", or label the modes" if square else ""
     return (
-        f"E1 and E2 can change places without changing a frequency, because {why}: this is one of two "
+        f"E1 and E2 can be exchanged without changing a frequency, because {why}: this is one of two "
         f"answers. Give them bounds that do not overlap{label}."
     )
 
@@ -197,7 +197,7 @@ def _doubtful_list(facts: Facts) -> str:
         label, hz = facts["missed"]
         what = f"to lack the mode {label} near {hz:.4g} Hz"
     else:
-        what = f"to hold a frequency of no mode, {facts['spurious']:.6g} Hz"
+        what = f"to contain a false peak, {facts['spurious']:.6g} Hz"
     return (
         f"The list seems {what}: that is {odds} times as probable as a complete list. If so, state "
         "that modes may be missing from it."
@@ -222,16 +222,16 @@ def _large_misfit(facts: Facts) -> str:
         f"{_percent(facts['misfit'])} off"
     ) + (
         _explained(facts)
-        or ", where a tap test repeats to 1 % or better. Do not use the constants before units, sizes, "
-        "edges, layup and the order of the list are checked."
+        or ", where a tap test repeats to 1 % or better. Before using the constants, check units, sizes, "
+        "edges, layup and the order of the list."
     )
 
 
 def _misfit_over_noise(facts: Facts) -> str:
     return (
-        "The plate model does not describe these frequencies: its best fit is "
-        f"{significant(facts['times'], 2)} times the stated noise off"
-    ) + (_explained(facts) or ", and the constants can be far outside their intervals. Ask `diagnose` why.")
+        "The plate model does not describe these frequencies: its best fit misses them by "
+        f"{significant(facts['times'], 2)} times the stated noise"
+    ) + (_explained(facts) or ", and the true constants can be far outside the intervals. Run `diagnose`.")
 
 
 _OF_SLIP: Final = {
@@ -281,8 +281,8 @@ def _common_factor(facts: Facts) -> str:
     true_thickness = thickness * ratio ** (1.0 / (3.0 if weighed else 2.0))
     attached = "a mass left on the plate, " if ratio < 1.0 else ""
     return (
-        f"{begun}, all by a factor near {significant(ratio, 3)}. One wrong number does that: a thickness of "
-        f"{significant(true_thickness, 3)} mm instead of {thickness:g} mm, a {mass} "
+        f"{begun}, all by a factor near {significant(ratio, 3)}. One wrong number explains it: a thickness "
+        f"of {significant(true_thickness, 3)} mm instead of {thickness:g} mm, a {mass} "
         f"{significant(1.0 / ratio, 3)} times as large, {attached}or frequencies "
         f"{significant(ratio**0.5, 3)} times too high. Check these, and the material."
     )
@@ -294,8 +294,8 @@ def _far_reference(facts: Facts) -> str:
         for name, z in facts["distances"]
     ]
     return (
-        f"The list contradicts what the plate file says of the material: {listed(far, 'and')}. Such a prior "
-        "distorts all constants: correct it, or let the bounds alone count."
+        f"The list contradicts the material's prior in the plate file: {listed(far, 'and')}. Such a prior "
+        "distorts all constants: correct it, or use bounds alone."
     )
 
 
@@ -314,13 +314,13 @@ def _constraint(constraint: Constraint) -> str:
     lifted = ""
     if constraint.symmetry == "transversely_isotropic":
         lifted = " Plies such as fabric need the orthotropic model of the material."
-    return f"{text}: the frequencies ask for constants beyond it.{lifted}"
+    return f"{text}: the frequencies call for constants beyond it.{lifted}"
 
 
 def _soft_core(facts: Facts) -> str:
     error, limit = facts["error"], facts["limit"]
     begun = (
-        "The faces of this sandwich bend by themselves about its soft core, which this theory lacks: the "
+        "The faces of this sandwich bend separately on its soft core, which this theory neglects: the "
         f"model's frequencies are up to about {_percent(error, 1)} too low"
     )
     if error > limit:
@@ -329,7 +329,7 @@ def _soft_core(facts: Facts) -> str:
 
 
 def _repeatability(facts: Facts) -> str:
-    return "any believable repeatability" if facts["inferred"] else "the stated repeatability"
+    return "any plausible repeatability" if facts["inferred"] else "the stated repeatability"
 
 
 # Diagnoses.
@@ -354,8 +354,8 @@ def _several_optima(facts: Facts) -> str:
 
 def _list_over_noise(facts: Facts) -> str:
     return (
-        f"{facts['plate']}: the misfit is {significant(facts['times'], 2)} times the stated noise, by which "
-        "it was widened"
+        f"{facts['plate']}: the misfit is {significant(facts['times'], 2)} times the stated noise, which was "
+        "scaled up to match"
     ) + (_explained(facts) or ": check this list, its edges and masses.")
 
 
@@ -364,7 +364,7 @@ def _list_over_noise(facts: Facts) -> str:
 
 def _check_layup(facts: Facts) -> str:
     missing = "A mode may be missing from the list. " if facts["complete"] else ""
-    return f"{missing}Check the list, the plate and the bounds, or `diagnose` a layup that you believe in."
+    return f"{missing}Check the list, the plate and the bounds, or `diagnose` a layup that you trust."
 
 
 def _sequence_at_bounds(facts: Facts) -> str:
@@ -411,7 +411,7 @@ def _undescribed_plates(facts: Facts) -> str:
     more = f" and {len(worst) - _MOST_NAMED} more" if len(worst) > _MOST_NAMED else ""
     return (
         f"The plate model does not describe the frequencies of {', '.join(shown)}{more}. Do not trust "
-        f"{'its' if len(worst) == 1 else 'their'} constants, nor means and limits with them, until the cause "
+        f"{'its' if len(worst) == 1 else 'their'} constants, nor means and limits from them, until the cause "
         "is known."
     )
 
@@ -426,17 +426,17 @@ def _other_sizes(facts: Facts) -> str:
         for name, here, there in facts["sizes"]
     ]
     return (
-        f"{facts['plate']} has the name of the plate that was measured and other sizes, {', '.join(far)}: "
-        "those of its file are used. Give it a `specimen` of its own."
+        f"{facts['plate']} has the name of the measured plate but other sizes, {', '.join(far)}: "
+        "those of its file are used. Give it its own `specimen`."
     )
 
 
 def _other_constants(facts: Facts) -> str:
     each = [
-        f"{user_name(name)} {to_user(name, there):.5g} there and {to_user(name, here):.5g} here"
+        f"{user_name(name)} {to_user(name, here):.5g} instead of {to_user(name, there):.5g}"
         for name, there, here in facts["constants"]
     ]
-    return f"The posterior held constants fixed that have other values in the plate file: {_names(each)}."
+    return f"The plate file has other values of constants that the posterior held fixed: {_names(each)}."
 
 
 # Measured responses.
@@ -455,16 +455,17 @@ def _no_poles(facts: Facts) -> str:
 def _close_poles(facts: Facts) -> str:
     close = ", ".join(f"{a:.5g} and {b:.5g} Hz" for a, b in facts["pairs"])
     return (
-        f"Modes closer than their peaks are wide: {close}. They can be one mode that differs between hits; "
-        "keep both only where another response shows them."
+        f"Modes closer than a peak width: {close}. They may be one mode that shifts between hits; keep both "
+        "only where another response shows them."
     )
 
 
 def _hits_apart(facts: Facts) -> str:
     one = len(facts["hits"]) == 1
     return (
-        f"{_hits(facts['hits']).capitalize()} of {facts['of']} {'has' if one else 'have'} few of the modes. "
-        f"{'Is it' if one else 'Are they all'} of this plate, held as in the others? Leave out what is not."
+        f"{_hits(facts['hits']).capitalize()} of {facts['of']} {'shows' if one else 'show'} few of the "
+        f"modes. {'Is it' if one else 'Are they all'} of this plate, held as in the others? Leave out any "
+        "that is not."
     )
 
 
@@ -474,17 +475,17 @@ def _hits(numbers: Sequence[int]) -> str:
 
 
 def _short_hits(facts: Facts) -> str:
-    short = [f"{length:.2g} s from {start:.2f} s of {file} on" for file, start, length in facts["short"]]
+    short = [f"{length:.2g} s from {start:.2f} s of {file}" for file, start, length in facts["short"]]
     return (
-        f"Less than half as long as a hit, and left out: {listed(short, 'and')}. Clicks are, as of a stop "
-        "button, and hits that another one or the end of the record cuts short."
+        f"Left out, as less than half the length of a hit: {listed(short, 'and')}. Likely clicks, as of a "
+        "stop button, or hits cut short by another or by the end of the record."
     )
 
 
 def _silent_channels(facts: Facts) -> str:
     numbers = [str(number) for number in facts["channels"]]
     are = f"Channel {numbers[0]} is" if len(numbers) == 1 else f"Channels {listed(numbers, 'and')} are"
-    return f"{are} constant or noise alone: is a sensor connected there? Channels with modes are used."
+    return f"{are} constant or pure noise: is a sensor connected? Channels with modes are used."
 
 
 # The time limit.
@@ -531,13 +532,13 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "thicknesses_apart": _thicknesses_apart,
     "equal_lists": _equal_lists,
     "list_given_twice": (
-        "The frequencies of {name} are those of {before}, digit by digit. Give the list that was measured "
+        "The frequencies of {name} are those of {before}, digit for digit. Give the list measured "
         "with the mass."
     ),
     "axes_exchange": _axes_exchange,
-    "prior_not_fitted": "The swarm uses only the bounds of {names:all}, not their mean and sd.",
+    "prior_not_fitted": "The swarm uses only the bounds of {names:all}, not mean and sd.",
     "prior_not_inverted": (
-        "The inversions use only the bounds of {names:all}; their mean and sd enter the posterior alone."
+        "The inversions use only the bounds of {names:all}; mean and sd enter only the posterior."
     ),
     "sizes_exact": _sizes_exact,
     "labels_not_used": "Labels and shapes are ignored here: frequencies are paired in their order.",
@@ -547,9 +548,7 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     ),
     "shapes_of_several": _shapes_of_several,
     "label_without_mode": _label_without_mode,
-    "other_label": (
-        "Frequency {frequency} is labelled {given}, and its shape at these constants is rather {found}."
-    ),
+    "other_label": "Frequency {frequency} is labelled {given}, but its mode at these constants is {found}.",
     "doubtful_list": _doubtful_list,
     "large_misfit": _large_misfit,
     "misfit_over_noise": _misfit_over_noise,
@@ -561,13 +560,13 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "far_reference": _far_reference,
     "search_model": _search_model,
     "poor_fit": (
-        "The best fit of mode {mode} is {residual:signed percent} off. Do not trust the constants before the "
-        "plate, the edges and the order of the list are checked."
+        "The best fit of mode {mode} is {residual:signed percent} off. Before trusting the constants, check "
+        "the plate, the edges and the order of the list."
     ),
     "optimum_on_constraint": "The best constants lie on the constraint {constraint:constraint}",
     "cut_posterior": "The posterior is cut by the constraint {constraint:constraint}",
     "solver_error": (
-        "The solver's error reaches {error:percent} of a frequency (mode {mode}), which is not small here."
+        "The solver's error reaches {error:percent} of a frequency (mode {mode}), which matters here."
     ),
     "soft_core": _soft_core,
     "swarms_disagree": (
@@ -582,8 +581,8 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
         "{ess_bulk:.0f} effective samples): do not rely on means and intervals. Allow more steps."
     ),
     "narrow_basis": (
-        "The chains ran on a small basis, and by the whole one their draws are worth {fraction:percent}: "
-        "means and intervals can be off. State the repeatability, for which the basis is then made."
+        "The chains ran on a small basis; by the full one, {fraction:percent} of their draws count: means "
+        "and intervals can be off. State the repeatability, and the basis will suit it."
     ),
     "unexplained_residuals": (
         "The residuals are larger than the stated noise explains (p = {p:.3f}): the plate model lacks "
@@ -606,16 +605,16 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "list_over_noise": _list_over_noise,
     "rough_evidences": "Log evidences are known only to {error:two digits}: probabilities are rough.",
     "unweighed_sets": (
-        "Causes that may act at once and were not weighed together have a probability of about "
-        "{probability:two digits}: nothing is claimed that they could overturn."
+        "Combinations of causes that were not tested have a probability of about {probability:two digits}: "
+        "no claim is made that they could overturn."
     ),
     "rough_surrogate": (
         "The log evidence of the surrogate is {rms:.2f} off (rms): the size of the credible set and the "
         "marginals are rough. The listed sequences are computed without it."
     ),
     "overlooked_sequence": (
-        "A sequence drawn from the posterior is better by {better:.1f} in log evidence than every one "
-        "listed: the list is not complete."
+        "A sequence drawn from the posterior beats every listed one by {better:.1f} in log evidence: the "
+        "list is incomplete."
     ),
     "sequences_left_out": "Sequences with up to {probability:.2g} of the probability were left out.",
     "uncertain_evidences": (
@@ -623,13 +622,13 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
         "number {first}."
     ),
     "no_sequence_explains": (
-        "No sequence explains the list: noise as stated leaves residuals as large as those of the best one "
+        "No sequence explains the list: the stated noise gives residuals as large as those of the best one "
         "with probability {p:.1g}. {check}"
     ),
     "frequencies_without_mode": (
         "{alone} of the {of} frequencies match no mode of the most probable sequence. {check}"
     ),
-    "sequence_noise": "No sequence fits the list better than {noise:percent}. {check}",
+    "sequence_noise": "No sequence fits the list to better than {noise:percent}. {check}",
     "sequence_at_bounds": _sequence_at_bounds,
     "sequence_chains": "{chains} have not converged: R-hat {r_hat:.3f}, {ess_bulk:.0f} effective samples.",
     "sequence_disagrees": (
@@ -644,7 +643,7 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
         "noise of {level:short percent}. --list model studies the noise alone."
     ),
     "constants_not_found_again": (
-        "Without noise the swarm did not quite return to {names:all}: other constants fit nearly as well."
+        "Without noise the swarm did not quite recover {names:all}: other constants fit nearly as well."
     ),
     "swarms_in_worse_optima": (
         "Without noise only {found} of {of} swarms found the best constants: a single swarm often misses "
@@ -664,8 +663,8 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
         "quite Gaussian."
     ),
     "quick": (
-        "Do not quote these numbers: --quick takes small swarms and linearised intervals, and leaves out "
-        "finite elements and searches of angles."
+        "Do not quote these numbers: --quick uses small swarms and linearised intervals, and skips "
+        "finite elements and angle searches."
     ),
     "unconverged_tasks": "Chains that have not converged: {titles:semicolons}.",
     "tasks_of_one_swarm": "The best fit was found by one swarm only: {titles:semicolons}.",
@@ -683,13 +682,12 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "other_sizes": _other_sizes,
     "other_constants": _other_constants,
     "hum": (
-        "The record ends in a steady tone of the mains, {mains:g} Hz or a multiple, of {size:percent} of "
-        "its largest value, which hides weak modes. Earth the sensor, keep cables away from mains, or use a "
+        "The record ends in mains hum, {mains:g} Hz or a multiple, of {size:percent} of its "
+        "largest value, which hides weak modes. Earth the sensor, keep cables away from mains, or use a "
         "battery."
     ),
     "modes_beyond_range": (
-        "The responses stand above their noise up to {frequency:.4g} Hz: modes beyond the range are not "
-        "looked for."
+        "The responses exceed their noise up to {frequency:.4g} Hz: modes beyond the range are not sought."
     ),
     "largest_below_range": (
         "The responses are largest at {frequency:.4g} Hz, below the range: a mode, the plate on its support, "
@@ -697,33 +695,33 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     ),
     "no_poles": _no_poles,
     "peaks_without_pole": (
-        "Peaks without a mode: {peaks:Hz}. They are modes that were not found, or steady tones such as hum: "
-        "look at the stability diagram and try another --order."
+        "Peaks without a mode: {peaks:Hz}. They are missed modes, or steady tones such as hum: look at "
+        "the stability diagram and try another --order."
     ),
     "close_poles": _close_poles,
-    "poor_poles": "A standard deviation above {limit:short percent}: {frequencies:Hz}.",
+    "poor_poles": "Standard deviation above {limit:short percent}: {frequencies:Hz}.",
     "drifting_modes": (
-        "Modes that differ by more than {limit:percent} from hit to hit: {frequencies:Hz}. A loose clamp, a "
-        "plate that warms up or too hard hits do that."
+        "Modes that differ by more than {limit:percent} from hit to hit: {frequencies:Hz}. Causes: a loose "
+        "clamp, a plate that warms up, hits that are too hard."
     ),
     "unlike_hit": (
         "All frequencies of hit {hit} differ from those of the other hits, by {shift:percent}. Was the "
-        "plate moved, or something on it? Leave that hit out."
+        "plate, or something on it, moved? Leave that hit out."
     ),
     "hits_apart": _hits_apart,
     "double_hits": (
-        "The hammer struck twice in {hits:hits} of {of}, which makes ripples that look like modes. Of free "
-        "decays what follows the last stroke was used; hit these again."
+        "The hammer struck twice in {hits:hits} of {of}, and the ripples look like modes. Of free decays "
+        "only the part after the last stroke was used; repeat these hits."
     ),
     "short_hits": _short_hits,
     "ringing_sensor": (
         "{share:percent} of the power of channel {channel} is a tone at {frequency:.4g} Hz, beyond the "
-        "range: a sensor or its mount that rings. Fix it better, and keep records far below full scale."
+        "range: the sensor or its mount rings. Fix it more firmly, and keep records well below full scale."
     ),
     "silent_channels": _silent_channels,
     "left_out_peaks": (
-        "Peaks without a mode of the model that stand out as modes do: {peaks:Hz}. The plate may have what "
-        "its file lacks: an accelerometer, a clamp that gives. State it, or ask `diagnose`."
+        "Peaks as clear as modes that match no mode of the model: {peaks:Hz}. The plate may have what its "
+        "file lacks: an accelerometer, a compliant clamp. State it, or run `diagnose`."
     ),
     "clipped_files": "Clipped and not used: {files:commas}. Lower the gain and hit again.",
     "repeated_files": "Given twice, or the same as another file, and counted once: {files:commas}.",
@@ -735,13 +733,13 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "cut_hypotheses": "{count} hypotheses were not tested, of {causes:commas}",
     "cut_sets": "not all causes that may act at once were tested together",
     "cut_list_errors": "errors of the lists were not tested together with causes of the plates",
-    "cut_leftovers": "nothing that is left over beside a cause was looked at",
+    "cut_leftovers": "misfit that remains beside a cause was not tested",
     "cut_evidences": "the evidence of the leading causes is approximate",
     "cut_gain": "neither the gain nor the detection limits were computed",
     "cut_next_tests": "no further tests were ranked",
     "cut_groups": "{done} of {of} groups of noisy lists were inverted",
     "cut_plates": "{late} of {of} plates were not computed",
     "cut_sequences": "the constants of {done} of {of} sequences were sampled by emcee",
-    "cut_rounds": "the probabilities of sequences are those of a round before the last",
+    "cut_rounds": "the probabilities of sequences are those of an earlier round",
 }
 """Code -> its sentence, a template of its facts or a function of them."""

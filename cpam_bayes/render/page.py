@@ -84,7 +84,7 @@ def terms_section(text: str) -> Section:
         for word, meaning in TERMS.items()
         if re.search(rf"\b{re.escape(word)}s?\b", text, re.IGNORECASE)
     )
-    return Section("Words on this page", (facts("Words on this page", used),))
+    return Section("Terms on this page", (facts("Terms on this page", used),))
 
 
 @dataclass(frozen=True, slots=True)

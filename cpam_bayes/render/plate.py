@@ -36,7 +36,7 @@ def plate_section(specimen: Specimen, air_shifts: NDArray[np.float64] | None) ->
     air_shifts : see `PlateResult.air_shifts`
     """
     tables = (plate_head(specimen, air_shifts), measured_facts(specimen))
-    return Section("The plate and what was measured", tables, ("plate",), folded=False)
+    return Section("Plate and measurement", tables, ("plate",), folded=False)
 
 
 def plate_head(specimen: Specimen, air_shifts: NDArray[np.float64] | None) -> Table:
@@ -69,7 +69,7 @@ def measured_facts(specimen: Specimen) -> Table:
     """Table of the measured frequencies and their quality."""
     measurement = specimen.measurement
     if measurement is None:
-        return facts("What was measured", ())
+        return facts("Measurement", ())
     listed = ", ".join(
         f"{f:.10g}{f' {label}' if label else ''}"
         for f, label in zip(measurement.frequencies, measurement.labels, strict=True)
@@ -88,13 +88,13 @@ def measured_facts(specimen: Specimen) -> Table:
     complete = "no mode is missing between the first and the last"
     rows = (
         (f"{measurement.size} frequencies", f"{listed} Hz"),
-        ("read to", resolution),
+        ("resolution", resolution),
         ("repeatability", repeatability),
         ("completeness", complete if measurement.complete else "modes may be missing"),
         *((("read from", measurement.origin),) if measurement.origin else ()),
         *_damping(measurement),
     )
-    return facts("What was measured", rows)
+    return facts("Measurement", rows)
 
 
 def _damping(measurement: Measurement) -> tuple[tuple[str, str], ...]:
@@ -349,15 +349,14 @@ def plate_caption(specimens: Sequence[Specimen]) -> Caption:
     """Caption of the drawing of one or several plates."""
     stated = {letter for s in specimens for letter in s.plate.edges}
     sensors = any(s.sensors for s in specimens)
-    parts = ["The plate as the model has it, seen from above"]
+    parts = ["The plate as modelled, seen from above"]
     parts += [c.caption for letter, c in CONDITIONS.items() if letter in stated and c.caption]
     if sensors:
         parts.append("a red dot is a mass attached to the plate")
     if not all(s.material.isotropic for s in specimens):
-        parts.append("beside it the plies from the bottom to the top, like colours at like angles")
+        parts.append("beside it the plies, bottom to top, equal angles in equal colours")
     text = (
-        "; ".join(parts)
-        + ". Whatever was on the plate in the laboratory and is not drawn is not in the model."
+        "; ".join(parts) + ". Anything on the plate in the laboratory that is not drawn is not in the model."
     )
     return Caption(text, " ".join(plate_sentence(s) for s in specimens))
 
@@ -465,8 +464,8 @@ def assurance_drawings(
     paired = int(np.sum(pairing.modes >= 0))
     caption = Caption(
         "Each row is a measured shape, each column a mode of the model at the reference constants; dark is "
-        "like, 1 is the same shape. A red ring marks the mode that a frequency is taken for, a grey one a "
-        "mode that it may be as well. Two dark squares in a row: the nodes do not tell these modes apart, or "
+        "similar, 1 identical. A red ring marks the mode paired with a frequency, a grey one another "
+        "possible mode. Two dark squares in a row: the measured points do not tell these modes apart, or "
         "the constants differ so much from the reference that the modes have mixed.",
         f"Modal assurance of {n} measured shapes with {k} modes; {paired} are paired.",
     )

@@ -92,7 +92,7 @@ def determined_text(c: Constant) -> str:
         is_far = abs(c.value - c.reference) > _OFF_REFERENCE_SD * c.prior.sd
         return f"not determined: {'far from the data sheet' if is_far else 'the data sheet decides'}"
     if c.verdict is Verdict.BOTH:
-        return f"partly: {_prior_counts(c)}"
+        return f"partly, with {_prior_counts(c)}"
     return f"determined, given the range of {listed(c.rests_on, 'and')}" if c.rests_on else "determined"
 
 
@@ -131,7 +131,7 @@ def constant_details(
         Column("sd", None, sd),
         Column("reference", None, lambda c: to_user(c.name, c.reference), lambda v: f"{v:.6g}", number=True),
         Column("prior", None, lambda c: prior_text(c.name, c.prior)),
-        Column("sd / prior's", None, share, number=True),
+        Column("sd / prior sd", None, share, number=True),
         Column("from the frequencies alone", None, lambda c: without.get(c.name)),
         Column("", None, lambda c: c.verdict.value),
     )
@@ -180,7 +180,7 @@ def constants_headline(constants: Sequence[Constant], n_frequencies: int) -> str
 
 def basis_error_text(error: float) -> str:
     """Sentence on the largest relative error of a frequency by reduced bases, at draws of the answer."""
-    return f"off by {significant(100 * error, 2)} % of a frequency at most, by full solves at draws"
+    return f"at most {significant(100 * error, 2)} % of a frequency off, by full solves at draws"
 
 
 def fit_sentence(
@@ -210,7 +210,7 @@ def fit_sentence(
         high = ", high for a tap test" if inferred > USUAL_NOISE else ""
         return f"{fit}; noise estimated from it: {_percent(inferred)} %{high}."
     if freedom is not None and freedom <= 0:
-        return f"{fit}, but as many constants as frequencies: nothing is left to estimate the noise by."
+        return f"{fit}, but as many constants as frequencies: nothing is left to estimate the noise from."
     return f"{fit}."
 
 
@@ -271,7 +271,7 @@ def errors_table(errors: Sequence[ScaleError], constants: Sequence[str]) -> Tabl
     Such errors hardly show in the frequencies: the constants absorb them.
     """
     columns = (
-        Heading("if really 1 % more than stated"),
+        Heading("if 1 % more than stated"),
         *(Heading(f"{name} %", number=True) for name in constants),
         Heading(),
     )
@@ -289,7 +289,7 @@ def errors_table(errors: Sequence[ScaleError], constants: Sequence[str]) -> Tabl
         )
         for e in errors
     )
-    return Table("What an error of a size does to the constants", columns, rows)
+    return Table("Effect of 1 % errors on the constants", columns, rows)
 
 
 # Numbers found by weighing.
@@ -314,7 +314,7 @@ def gauge_step(specimen: Specimen, errors: Sequence[ScaleError], constants: Sequ
         *(["weigh"] if set(names) & _WEIGHED else []),
     ]
     how = f"{' and '.join(verbs)} the plate"
-    return (f"state in the plate file how exactly {known}: {how}.",) if names else ()
+    return (f"state in the plate file how accurately {known}: {how}.",) if names else ()
 
 
 def _digits(c: Constant, value: float) -> str:
@@ -328,11 +328,11 @@ def _with_unit(name: str, text: str) -> str:
 
 def _prior_counts(c: Constant) -> str:
     if c.has_former_plate:
-        return "the former plate counts"
+        return "the former plate"
     kind, numbers = _prior_text(c.name, c.prior)
     if c.has_reference_prior:
         kind = "the data sheet's"
-    return f"{kind} {numbers} {'count' if kind == 'bounds' else 'counts'}"
+    return f"{kind} {numbers}"
 
 
 def _percent(relative: float) -> str:
@@ -398,8 +398,8 @@ def reliance_sentences(
             continue
         kind, value = _prior_text(r.on, prior_of(r.on))
         said.append(
-            f"The interval of {r.name} depends on the {kind} of {r.on}, {value}: twice as wide, it "
-            f"would be {significant(100.0 * r.widening, 2)} % wider."
+            f"The interval of {r.name} depends on the {kind} of {r.on}, {value}: twice that width makes it "
+            f"{significant(100.0 * r.widening, 2)} % wider."
         )
     return tuple(said)
 

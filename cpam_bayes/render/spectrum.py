@@ -43,8 +43,8 @@ def test_drawings(test: ModalTest, title: str, marks: Sequence[Mark]) -> tuple[D
             "spectrum",
             partial(_spectrum, test, counted, marks),
             Caption(
-                "The responses (grey, of every hit) with what each peak was taken for: a red line is a mode, "
-                "a dotted grey one is none and says what it is.",
+                "The responses (grey, every hit) with each peak identified: a red line is a mode, a dotted "
+                "grey one says what else it is.",
                 f"Spectrum with {n_modes} modes and {len(marks) - n_modes} other peaks.",
             ),
         ),
@@ -52,10 +52,10 @@ def test_drawings(test: ModalTest, title: str, marks: Sequence[Mark]) -> tuple[D
             "stability",
             partial(_stability, test, counted, [mark.frequency for mark in marks if mark.is_mode]),
             Caption(
-                "Each point is a pole of a model with as many poles as its height says; filled ones are in "
-                "the order below as well. A mode is a column of filled points at a peak of the responses "
-                "(grey). Red lines are the modes: look at a line without a column, and at a column without "
-                "one.",
+                "Each point is a pole of a model with as many poles as its height says; filled ones are "
+                "stable: also in the order below. A mode is a column of filled points at a peak of the "
+                "responses (grey). Red lines are the modes: look at a line without a column, and at a column "
+                "without one.",
                 f"Stability diagram of {len(test.stabilisation.orders)} poles with {n_modes} modes.",
             ),
         ),
@@ -89,10 +89,10 @@ def _hz(value: float) -> str:
 
 _COLUMNS: Final = (
     Column("Hz", "hz", lambda p: p.frequency, _hz, number=True),
-    Column("mode by its height %", "mode_probability", lambda p: p.probability, _percent, number=True),
+    Column("mode by height %", "mode_probability", lambda p: p.probability, _percent, number=True),
     Column("damping %", "damping", lambda p: p.damping, _percent, number=True),
     Column("predicted Hz", "predicted_hz", lambda p: p.predicted, _hz, number=True),
-    Column("taken for", "taken", lambda p: p.taken),
+    Column("classified as", "taken", lambda p: p.taken),
     Column("probability %", "probability", lambda p: p.certainty, _percent, number=True),
 )
 
@@ -131,7 +131,7 @@ def peak_sections(specimen: Specimen, peaks: Rows) -> tuple[Section, ...]:
     if not peaks.rows:
         return ()
     drawn = specimen.measurement is not None and specimen.measurement.test is not None
-    table = peaks.table("What each peak was taken for")
+    table = peaks.table("What each peak is")
     figures = ("spectrum",) if drawn else ()
     own = Section("Peaks", (table,), figures=figures, folded=False)
     return (own, Section("Stability diagram", figures=("stability",))) if drawn else (own,)
@@ -207,7 +207,7 @@ def _stability(test: ModalTest, title: str, modes: Sequence[float]) -> Figure:
             markeredgecolor=MEASURED if stable else "0.7",
             markeredgewidth=0.5,
             rasterized=True,
-            label="in the order below as well" if stable else "new at this order",
+            label="stable: also in the order below" if stable else "new at this order",
         )
     _finish(axes, test, title)
     axes.set(ylim=(0, test.order + 1), ylabel="poles")

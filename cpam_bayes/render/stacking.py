@@ -74,14 +74,16 @@ FIRST_SCREEN: Final = (
     _RANK,
     _UNKNOWN,
     _TOGETHER,
-    Column("equal ones", None, lambda s: int(s.answer.multiplicity[s.i]) - 1, number=True),
+    Column("equivalents", None, lambda s: int(s.answer.multiplicity[s.i]) - 1, number=True),
 )
 SEQUENCES: Final = (
     _RANK,
     _UNKNOWN,
     Column(None, "angles_deg", lambda s: s.answer.top[s.i].tolist()),
-    Column("of each", "probability", lambda s: float(s.answer.probability[s.i]), probable, number=True),
-    Column("with equals", "equivalent", lambda s: int(s.answer.multiplicity[s.i]), number=True),
+    Column(
+        "probability each", "probability", lambda s: float(s.answer.probability[s.i]), probable, number=True
+    ),
+    Column("equivalent", "equivalent", lambda s: int(s.answer.multiplicity[s.i]), number=True),
     _TOGETHER,
     Column(None, "same_bending_deg", lambda s: s.answer.grid_deg[s.answer.same_bending[s.i]].tolist()),
     Column(
@@ -136,8 +138,8 @@ def outer_and_inner(information: AngleInformation) -> str:
     bits = information.entropy_bits[information.outer_first]
     each = ", ".join(f"{abs(b):.2f}" for b in bits)
     if len(bits) < 2:
-        return f"one unknown angle: {each} bits of {information.most_bits:.2f} are left open"
-    better = "are" if information.outer_better else "are not throughout"
+        return f"one unknown angle: {each} of {information.most_bits:.2f} bits are left open"
+    better = "are" if information.outer_better else "are not always"
     return (
         f"outer angles {better} better determined than inner ones: entropy from the outermost in {each} of "
         f"{information.most_bits:.2f} bits; equally probable mirror images count 1 bit"
@@ -192,7 +194,7 @@ def mixture_table(answer: StackingPosterior, mixture: StackingMixture, given: Gi
         Column("given the printed one", None, lambda r: r.printed and r.printed[0], number=True),
         Column("sd", None, lambda r: r.printed and r.printed[1], number=True),
         Column("reference", None, lambda r: r.reference, number=True),
-        Column("emcee off importance sampling, standard errors", None, lambda r: r.off, number=True),
+        Column("emcee vs importance sampling, standard errors", None, lambda r: r.off, number=True),
     )
     return Rows("constants", columns, tuple(rows)).table("Constants over all sequences")
 
@@ -220,7 +222,7 @@ def same_bending(answer: StackingPosterior) -> tuple[tuple[str, str], ...]:
     one, other = answer.top[several[0]], answer.grid_deg[answer.same_bending[several[0]][0]]
     said = f"{len(several)} of {len(answer.top)} listed share it with others, as {angles_text(one)} and"
     return (
-        ("same bending", f"{said} {angles_text(other)}; {merged} merged with them, as nothing else counts"),
+        ("same bending", f"{said} {angles_text(other)}; {merged} merged with them, as nothing else differs"),
     )
 
 

@@ -71,7 +71,7 @@ class _Guard:
     def _refusal(self, request: Request) -> str | None:
         headers = request.headers
         if headers.get("host", "") not in self.hosts or len(headers.getlist("host")) != 1:
-            return "refused: this page is of another address"
+            return "refused: this page belongs to another address"
         origins = headers.getlist("origin")
         if any(origin.removeprefix("http://") not in self.hosts for origin in origins):
             return "refused: asked for by another page"
@@ -230,7 +230,7 @@ class _Pages:
         """The content of a written file of an answer."""
         path = None if written is None else self.desk.folder / str(written[kind])
         if path is None or not path.is_file() or path.is_symlink():
-            raise _Refused(404, "no report is written yet")
+            raise _Refused(404, "no report has been written")
         return bytes(path.read_bytes())
 
     async def results(self, request: Request) -> Response:

@@ -29,7 +29,7 @@ _CONSTANTS: Final = (("E1_GPa", "GPa"), ("E2_GPa", "GPa"), ("nu12", ""), ("G12_G
 _DOING: Final = {
     "pick": "Looking for modes in the recording",
     "batch": "Computing the plates of the folder",
-    "identify": "Computing the answer of the command",
+    "identify": "Computing the full answer",
     "diagnose": "Looking for what is wrong",
     "report": "Writing the report",
 }
@@ -236,7 +236,7 @@ def _drawing(visit: Visit) -> Markup:
     """The plate from above: edges, attached masses, findings; mm, y upwards."""
     a, b = (_positive(value_at(visit.data, f"plate.{key}_mm")) for key in ("length", "width"))
     if a is None or b is None or max(a, b) > 50.0 * min(a, b):
-        return Markup('<p class="hint">Its drawing appears with length and width.</p>')
+        return Markup('<p class="hint">The drawing needs length and width.</p>')
     m = _MARGIN * max(a, b)
     shape = [f'<rect class="plate" x="0" y="0" width="{a:g}" height="{b:g}"/>']
     edges = visit.edges

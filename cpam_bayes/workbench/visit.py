@@ -257,7 +257,7 @@ class Visit(Work):
             name = _require_name(file)
             return cls(desk=desk, key=key, file=name, text=text, saved=saved, before=before)
         except (OSError, ValueError, KeyError, TypeError):
-            raise EditError("this visit is not kept any more; open the plate again") from None
+            raise EditError("this visit has expired; open the plate again") from None
 
     @property
     def data(self) -> dict[str, Any]:
@@ -334,7 +334,7 @@ class Visit(Work):
                     path.unlink()
                 raise EditError("; ".join(wrong[:3])) from None
         self._become(text, anew=True, is_step=True)
-        return f"{name} is the list"
+        return f"frequencies from {name}"
 
     async def _picked(self) -> None:
         """Compute the spectrum of the recording; the modes of a newly dropped one become the list."""
@@ -497,7 +497,7 @@ def _edited(visit: Visit, what: object, change: Mapping[str, Any]) -> str:
         case "paste" | "append":
             numbers = numbers_in(_typed(change.get("value")))
             if not numbers:
-                raise EditError("frequencies: no number in what was pasted, accepted: a list in Hz")
+                raise EditError("frequencies: no number pasted, accepted: a list in Hz")
             if what == "paste":
                 return with_rows(with_file(text, "frequencies_hz", ""), [Row(hz) for hz in numbers])
             is_picked = value_at(data, "measurement.picked_from") is not None

@@ -68,7 +68,7 @@ def test_a_limit_is_read_in_the_unit_of_the_plate_file_or_its_own(text):
         ("E1_GPa >= 115000", 'write the unit if it is another one: "E1_GPa >= 115000 MPa"'),
         ("E1_GPa >= 115 psi", "the unit psi, accepted: GPa MPa Pa"),
         ("nu12 <= 0.3 GPa", "accepted: a number without a unit"),
-        ("G23_GPa >= 3", "a constant that is in [unknowns] of no plate, accepted: E1_GPa"),
+        ("G23_GPa >= 3", "a constant in no plate's [unknowns], accepted: E1_GPa"),
         *((text, "") for text in ("E >= 115", "E1_GPa 115", "E1_GPa >= ", "E1_GPa == 1", "mass_g > 1", "")),
     ],
 )
@@ -233,8 +233,8 @@ def test_a_folder_of_plates_has_its_four_verdicts_first_and_a_certificate(tmp_pa
     assert [row.name for row in result.rows] == [f"b{i}" for i in range(7)]
     assert [row.is_judged for row in result.rows] == [True] * 6 + [False]
     assert result.report().summary.headline.startswith(
-        "4 pass, 1 fails (b4: thinner or softer; gauge it), "
-        "1 cannot be judged (b6: a decimal point of frequency 6?), "
+        "4 pass, 1 fail (b4: thinner or softer; gauge it), "
+        "1 not judged (b6: a decimal point of frequency 6?), "
         "1 too close to call (b5: thinner or softer; gauge it)."
     )
     page, row = result.texts()["certificate.html"], result.rows[4]
@@ -301,14 +301,14 @@ def test_moduli_and_mass_that_go_together_are_a_thickness():
     plates = [weighed(f"b{i}", 69.0 + i) for i in range(4)]
     result = cb.batch(*plates, weighed("thin", 70.0, 0.96, 3.06), limits=["E1_GPa >= 66"])
     near = replace(result, limits=(read_limit("E1_GPa >= 62"),))
-    for judged, verdict in ((result, "fails"), (near, "too close to call")):
+    for judged, verdict in ((result, "fail"), (near, "too close to call")):
         assert f"1 {verdict} (thin: thinner by about 4 %; gauge it)" in judged.report().summary.headline
 
 
 def test_a_repeat_is_no_advice_where_the_thickness_decides():
     close = plate("close", e1=70.2)
     for sd, noise, step in (
-        (0.06, 0.002, "gauge close more exactly, its thickness decides"),
+        (0.06, 0.002, "gauge close more accurately: its thickness dominates"),
         (0.001, 0.01, "repeat the test"),
     ):
         close["plate"]["sd"] = {"thickness_mm": sd, "density_kg_m3": 0.1}
@@ -468,7 +468,10 @@ def test_a_stiffer_plate_is_larger_by_its_ratio():
     assert (e1.differs, nu12.differs) == (True, False)
     assert "b differs from a in E1 by +" in found.report().summary.headline
     # E1 scales with f^2 / h^2 for a stated density, with f^2 / h^3 for a stated mass
-    assert "thickness off by 1 % changes all moduli by 2 %, of a weighed" in found.report().summary.next_step
+    assert (
+        "1 % error in thickness changes all moduli by 2 %, by 3 % if weighed"
+        in found.report().summary.next_step
+    )
     keys = {"percent": e1.percent, "sd_percent": e1.sd_percent, "probability_larger": e1.probability_larger}
     assert found.to_dict()["differences"]["E1_GPa"] == keys | {"determined": True}
 

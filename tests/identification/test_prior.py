@@ -113,8 +113,8 @@ def test_a_normal_prior_of_unknowns_stays():
 
 def test_a_prior_that_counts_is_called_by_where_it_is_from():
     c = Constant("E1", 70e9, 1e9, (68e9, 72e9), TruncatedNormal(69e9, 2e9, 10e9, 200e9), 69e9, Verdict.BOTH)
-    assert determined_text(c) == "partly: the data sheet's 69 +- 2 GPa counts"
-    assert determined_text(replace(c, reference=71e9)) == "partly: prior 69 +- 2 GPa counts"
+    assert determined_text(c) == "partly, with the data sheet's 69 +- 2 GPa"
+    assert determined_text(replace(c, reference=71e9)) == "partly, with prior 69 +- 2 GPa"
     assert determined_text(replace(c, verdict=Verdict.PRIOR, reference=71e9)) == "not determined"
 
 

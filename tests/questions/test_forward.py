@@ -243,7 +243,7 @@ def test_export_to_an_impossible_place_is_refused(run, plate_file, tmp_path):
     os.mkfifo(pipe)
     for out, said in {
         tmp_path: "a directory, accepted: the file to write",
-        tmp_path / "none" / "a.inp": "none is no directory",
+        tmp_path / "none" / "a.inp": "none is not a directory",
         "": "--out: received an empty name",
         tmp_path / ("a" * 300): "cannot be written to",
         **dict.fromkeys((Path(os.devnull), link, pipe), "a link, pipe or device, accepted"),

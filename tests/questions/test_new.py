@@ -136,7 +136,7 @@ def test_the_answers_are_the_plate_and_the_file_that_of_the_options(run, asked, 
 
 
 # Wrong answers to a question, and the messages.
-NUMBERS, SIZES = "accepted: numbers with spaces", "accepted: length, width and thickness"
+NUMBERS, SIZES = "accepted: numbers separated by spaces", "accepted: length, width and thickness"
 TYPED = ("80,146", "80,146,218", "80,2 146.3")
 WRONG = {
     0: {"310 by 228": NUMBERS, "310 228": SIZES, "3.1 2.2 310": "not a plate"},
@@ -166,7 +166,7 @@ def test_what_cannot_be_is_asked_again_and_back_ends_at_the_first_question(asked
     in_cm = ("31 22.8 0.31", "340.7", "<")
     status, _, err, _ = asked("<", *in_cm, "300 280 3", "680", "metal", "<", *ANSWERS[2:])
     assert status == 0
-    assert "are the sizes in mm? (< goes back to the answer before)" in err
+    assert "are the sizes in mm? (< goes back to the last question)" in err
     read = cb.read_plate(path)
     assert (read.plate.thickness, read.material.isotropic) == (0.003, False)
 
@@ -202,7 +202,7 @@ def test_a_metal_has_no_layup_and_a_table_no_list(run, asked, path, tmp_path):
 
 
 def test_an_end_of_the_answers_writes_nothing_and_a_script_is_asked_nothing(asked, path, tmp_path):
-    refused(asked(*ANSWERS[:3])[:3], "not answered to the end")
+    refused(asked(*ANSWERS[:3])[:3], "not all questions were answered")
     assert list(tmp_path.iterdir()) == []
     for argv in (("--json",), ("--edges", "FFFF")):
         status, _, err, left = asked(*ANSWERS, argv=argv)

@@ -230,7 +230,7 @@ def test_the_table_is_read_by_a_plate_file(tapped, tmp_path):
     shown = tapped.summary(verbose=True)
     assert "5 modes from 81" in shown
     assert 'table = "modes.csv"' in shown
-    assert any("closer than their peaks are wide: 147.3 and 149.6" in said for said in tapped.warnings)
+    assert any("closer than a peak width: 147.3 and 149.6" in said for said in tapped.warnings)
     modes = json.loads((out / "poles.json").read_text("utf-8"))["modes"]
     hz, sd, damping, heights = ([m[key] for m in modes] for key in ("hz", "sd", "damping", "height"))
     assert all(np.diff(hz) > 0.0)

@@ -84,8 +84,8 @@ def test_the_certificate_says_what_was_found_for_what_was_sealed_and_the_shifts(
     assert of_coin.startswith("In this laboratory, on this plate, ")
     images = [f"({1e3 * x:.0f}, {1e3 * y:.0f})" for x, y in coin.images]
     assert len(images) == 3
-    assert all(part in of_coin for part in ("was found for 20.0 g, ", "Sealed at (60, 50) mm.", *images))
-    assert "g or more was found for no mass; " in of_none
+    assert all(part in of_coin for part in ("was found, 20.0 g sealed, ", "Sealed at (60, 50) mm.", *images))
+    assert "g or more was found, no mass sealed; " in of_none
     assert "(0, 0)" not in of_none
     assert not none.images or "mirror" not in of_none
     single = replace(result, coins=result.coins[:1])

@@ -94,7 +94,7 @@ def test_the_model_picks_the_modes_among_the_peaks_in_one_command(run, plate, tm
         assert abs(peak["predicted_hz"] / peak["hz"] - 1.0) < 0.01  # the noise of 0.3 %, times three or four
         assert peak["probability"] > 0.9
     assert len(paired) + len(document["missed_modes"]) == 8
-    assert "What each peak was taken for" in (out / "report.html").read_text(encoding="utf-8")
+    assert "What each peak is" in (out / "report.html").read_text(encoding="utf-8")
     assert (out / "figures" / "spectrum.svg").exists()
 
 

@@ -52,7 +52,7 @@ def test_the_answer_of_all_frequencies_stands_beside_that_of_those_that_were_use
     plate = cb.read_plate(plate_file())
     used = plate.measurement.without({plate.measurement.size - 1})
     result, everything = cb.report(replace(plate, measurement=used), quick=True), cb.identify(plate)
-    section = next(s for s in result.report().sections if s.title == "Frequencies were left out by hand")
+    section = next(s for s in result.report().sections if s.title == "Frequencies left out by hand")
     assert not section.folded
     both = [of.report().summary.tables[0].rows for of in (everything, result.identification)]
     assert [table.rows for table in section.tables[1:]] == both

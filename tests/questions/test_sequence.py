@@ -63,7 +63,7 @@ def test_the_document_has_what_the_contract_names_and_the_first_screen_its_answe
     assert (document["noise_percent"], document["noise_inferred"]) == (pytest.approx(1.0, rel=1e-3), False)
     # the list is the plate's own without noise, with two frequencies more than constants
     assert chi2.isf(document["p_value"], 2) < 0.1
-    assert work(result)["noise"].startswith("1.0 % of a frequency, from the plate file; alone it leaves")
+    assert work(result)["noise"].startswith("1.0 % of a frequency, from the plate file; alone it gives")
     summary = result.report().summary  # the first screen has the layup, its probability and the constants
     constants, sequences = summary.tables
     assert [row[0] for row in constants.rows] == ["E1", "E2", "nu12", "G12"]
@@ -85,7 +85,7 @@ def test_constants_over_all_sequences_have_emcee_and_the_printed_sequence_beside
     for components in (mixed.components, (*mixed.components[:1], wrong)):
         result = stacking_result(own, replace(mixed, components=components), None, 0, 5)
         table = tables(result)["Constants over all sequences"]
-        at = table.headings.index("emcee off importance sampling, standard errors")
+        at = table.headings.index("emcee vs importance sampling, standard errors")
         worst = result.to_dict()["mixture"]["worst_difference_in_standard_errors"]
         assert max(float(row[at]) for row in table.rows) == pytest.approx(worst, abs=0.05)
     printed = replace(mixed, given=mixed.components[0])
@@ -159,7 +159,7 @@ def test_draws_of_another_command_in_the_directory_are_kept_under_its_name(tmp_p
     of_identify.to_netcdf(str(file))
     with staging(str(tmp_path)) as stage:
         (note,) = save(result, stage)
-    assert note == f"{file} is now that of sequence, that of identify is kept as identify_posterior.nc"
+    assert note == f"{file} is now from sequence; that from identify is kept as identify_posterior.nc"
     result.save(tmp_path)
     assert (command_of_draws(file), command_of_draws(kept)) == ("sequence", "identify")
     assert sorted(path.name for path in tmp_path.glob("*.nc")) == ["identify_posterior.nc", "posterior.nc"]

@@ -19,7 +19,7 @@ from tests.answers import answered
 RESULT = plates()
 READ_ONLY = [f"cannot be written to: {os.strerror(number)}" for number in (errno.EROFS, errno.EACCES)]
 NO_PLACES = [
-    (".", "figures is no directory"),
+    (".", "figures is not a writable directory"),
     *((name, "--out") for name in ("", "a\0b", "x" * 5000)),
     *((name, said) for said in READ_ONLY for name in ("read only", "read only/new")),
 ]
@@ -80,7 +80,7 @@ def test_the_page_of_another_command_is_kept_under_its_name(tmp_path, forward_re
     assert [saved(RESULT, tmp_path) for _ in range(2)] == [(), ()]
     first = page.read_text("utf-8")
     (note,) = saved(forward_result, tmp_path)
-    assert note == f"{page} is now that of forward, that of plates is kept as plates_page.html"
+    assert note == f"{page} is now from forward; that from plates is kept as plates_page.html"
     assert (command_of(page), (tmp_path / "plates_page.html").read_text("utf-8")) == ("forward", first)
     # the page of a command is always at the same place
     assert (len(saved(RESULT, tmp_path)), command_of(page)) == (1, "plates")

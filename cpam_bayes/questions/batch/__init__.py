@@ -226,7 +226,7 @@ def _require_limits_of_unknowns(limits: Sequence[Limit], items: Sequence[_Item])
     for limit in limits:
         if read and limit.name not in unknown:
             raise ValueError(
-                f"limit: received {limit.text!r}, a constant that is in [unknowns] of no plate, accepted: "
+                f"limit: received {limit.text!r}, a constant in no plate's [unknowns], accepted: "
                 f"{' '.join(user_name(name) for name in unknown)}"
             )
 
@@ -400,7 +400,7 @@ COMMAND: Final = Command(
             "files",
             nargs="+",
             metavar="FILE",
-            help="plate files, folders of them, or built-in specimens; one that fails stops no other",
+            help="plate files, folders of them, or built-in specimens; one that fails does not stop the rest",
         ),
         option(
             "--limit",
@@ -408,12 +408,12 @@ COMMAND: Final = Command(
             action="append",
             default=[],
             metavar="LIMIT",
-            help='such as "E1_GPa >= 115 GPa": the probability that each plate meets it; may be given again',
+            help='such as "E1_GPa >= 115 GPa": the probability that each plate meets it; repeatable',
         ),
         option(
             "--diagnosis",
             action="store_true",
-            help="ask of each plate what the plate model gets wrong; left out, of those that misfit",
+            help="diagnose every plate, as `diagnose` does (default: those that misfit)",
         ),
         option(
             "--hierarchical",
@@ -424,11 +424,9 @@ COMMAND: Final = Command(
             "--own-models",
             "share_models",
             action="store_false",
-            help="compute each plate with its own sizes; left out, plates of one geometry share their models",
+            help="compute each plate with its own sizes (default: plates of one geometry share models)",
         ),
-        option(
-            "--store", metavar="DIR", help="keep finished plates in DIR; the same command goes on from there"
-        ),
+        option("--store", metavar="DIR", help="keep finished plates in DIR; the same command resumes there"),
         EXECUTOR,
         WORKERS,
         TIME_LIMIT,

@@ -94,7 +94,7 @@ def _headline(result: BatchResult) -> str:
         said.append(f"The model does not describe {listed([*each, *more], 'and')}.")
     if result.diagnosis and result.done:
         clean = sum(row.diagnosis is not None and row.diagnosis.claim == "none" for row in result.done)
-        said.append(f"For {clean} the model fits.")
+        said.append(f"The model fits {clean}.")
     names = list(dict.fromkeys(row.name for name in result.constants for row in result.outside(name)))
     if names:
         more = [f"{len(names) - _MOST_NAMES} more"] if len(names) > _MOST_NAMES else []
@@ -111,8 +111,8 @@ def _lines(result: BatchResult) -> tuple[str, ...]:
     fit = f"Fit {typical} % (median of the plates); the worst is {worst.name}"
     return (
         f"{fit}, {significant(100.0 * worst.rms, 2)} %.",
-        "The intervals contain noise, tolerances and data sheet of each plate, but no other error of the "
-        "model. (open): not determined by the frequencies.",
+        "The intervals contain noise, tolerances and data sheet of each plate, but no other model "
+        "error. (open): not determined by the frequencies.",
     )
 
 
@@ -140,17 +140,17 @@ def _missing(result: BatchResult) -> PlateRow | None:
 
 def _computation(result: BatchResult) -> Table:
     rows = [
-        ("constants", "swarms on residuals over their standard deviations, as identify"),
+        ("constants", "swarms on standardised residuals, as in identify"),
         ("limits", "a normal distribution with value and sd of the constant, cut at its bounds"),
-        ("models", f"{result.models} for {len(result.rows)} plates: a list is carried to the sizes of the "
-         "first plate of its geometry"),
+        ("models", f"{result.models} for {len(result.rows)} plates: lists are scaled to the sizes of the "
+         "first plate of their geometry"),
         ("control limits", f"median +- {SIGMAS:g} sd, the sd {OF_MEDIAN_RANGE:.4g} times the median moving "
          "range of neighbours in the list, which a few bad plates do not widen"),
     ]  # fmt: skip
     if result.population is not None:
         rows.append(
             ("mean and scatter", "hierarchical model of Gaussian plates, sampled by emcee; the prior of the "
-             "scatter is half a Student-t, 5 % wide")
+             "scatter is a half-Student-t of scale 5 %")
         )  # fmt: skip
     rows += [("from the store", f"{result.from_store} plates"), ("time", f"{result.seconds:.1f} s")]
     return facts("Computation", rows)
@@ -201,7 +201,11 @@ def _constants(result: BatchResult) -> Rows:
         Column("median", None, of(_median_text, result), number=True),
         Column(None, "median", of(_median, result)),
         Column(
-            "sd of plates", "sd_of_plates", of(_scatter, result), lambda v: significant(v, 2), number=True
+            "sd between plates",
+            "sd_of_plates",
+            of(_scatter, result),
+            lambda v: significant(v, 2),
+            number=True,
         ),
         Column("sd of one plate", "sd_of_one", of(_own_sd, result), lambda v: significant(v, 2), number=True),
         Column("unit", "unit", unit_of),

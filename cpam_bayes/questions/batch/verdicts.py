@@ -22,11 +22,11 @@ from cpam_bayes.render.report import Column, Rows, Section, facts
 _MOST_NAMED, _MOST_CAUSES = 3, 2
 # Entries of a plate file about its test.
 _STATED: Final = ("specimen", "laboratory", "operator", "date")
-_VERBS: Final[dict[BatchVerdict, tuple[str, str]]] = {
-    "pass": ("passes", "pass"),
-    "fail": ("fails", "fail"),
-    "cannot be judged": ("cannot be judged", "cannot be judged"),
-    "too close to call": ("too close to call", "too close to call"),
+_COUNTED: Final[dict[BatchVerdict, str]] = {
+    "pass": "pass",
+    "fail": "fail",
+    "cannot be judged": "not judged",
+    "too close to call": "too close to call",
 }
 _SLIPS: Final = {
     "sides": "length and width exchanged?",
@@ -36,7 +36,7 @@ _SLIPS: Final = {
     "clamped": "clamped at an edge, not free?",
     "free": "free, not held?",
     "missed": "mode {number} missing from the list?",
-    "false": "frequency {number} no mode?",
+    "false": "frequency {number} not a mode?",
     "misread": "frequency {number} misread?",
     "decimal": "a decimal point of frequency {number}?",
 }
@@ -48,11 +48,11 @@ _TOGETHER, _APART, _SAME = 0.01, 0.01, 0.005
 def four_verdicts(result: BatchResult) -> str:
     """How many plates pass, fail, cannot be judged or are too close to call, and why."""
     said = []
-    for which, (one, many) in _VERBS.items():
+    for which, counted in _COUNTED.items():
         rows = [row for row in result.rows if verdict(result, row) == which]
         if not rows:
             continue
-        text = f"{len(rows)} {one if len(rows) == 1 else many}"
+        text = f"{len(rows)} {counted}"
         why = {row.name: reason for row in rows if (reason := _why(result, row, which))}
         if why:
             each = [f"{name}: {reason}" for name, reason in why.items()][:_MOST_NAMED]
@@ -180,11 +180,11 @@ def limit_step(result: BatchResult) -> str:
             p, constant = result.probability(row, limit), row.constant(limit.name)
             if p is None or constant is None or constant.is_open or not 1.0 - SURE < p < SURE:
                 continue
-            name, open_ = constant.decided_by, f"{limit.shown} is neither met nor missed"
+            name, open_ = constant.decided_by, f"{limit.shown} is too close to call"
             if not name:
                 return f"repeat the test of {row.name}: {open_}."
             how = "weigh" if name in ("mass", "density") else "gauge"
-            return f"{how} {row.name} more exactly, its {name} decides: {open_}, and a repeat does not help."
+            return f"{how} {row.name} more accurately: its {name} dominates, a repeat does not help; {open_}."
     return ""
 
 
@@ -213,7 +213,7 @@ def certificate_section(result: BatchResult) -> Section:
         ("cannot be judged", "the plate model does not describe the list, or the constant is left open"),
         ("computed by", f"cpam_bayes {__version__}, seed {result.seed}"),
     ]
-    judged = facts("Test, and how limits were judged", rows)
+    judged = facts("Test and acceptance criteria", rows)
     return Section(CERTIFICATE, (each.table("The test of each plate"), judged))
 
 

@@ -88,7 +88,7 @@ COMMAND: Final = Command(
         option(
             "--backend",
             choices=get_args(Backend),
-            help="pso: the paper's particle swarm; emcee: the posterior, sampled from that swarm on, "
+            help="pso: the paper's particle swarm; emcee: the posterior, sampled starting from that swarm, "
             "`sample` in Python (default: pso, and emcee where modes may be missing)",
         ),
         option(
@@ -132,7 +132,7 @@ COMMAND: Final = Command(
         option(
             "--store",
             metavar="DIR",
-            help="emcee: keep finished rounds in DIR; the same command goes on from there",
+            help="emcee: keep finished rounds in DIR; the same command resumes there",
         ),
         option(
             "--likelihood",

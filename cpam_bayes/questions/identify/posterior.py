@@ -126,7 +126,7 @@ def _present(result: SampledResult) -> Report:
                 folded=False,
             ),
             Section(
-                "Which constants move together, and what decides them",
+                "Which constants move together, and what determines them",
                 (
                     _combinations_table(
                         result.posterior.model.parameters.names,
@@ -140,7 +140,7 @@ def _present(result: SampledResult) -> Report:
                 "Measured and predicted frequencies",
                 (
                     modes.table(
-                        "Frequencies, residual = predicted / measured - 1; left out: by the other modes"
+                        "Frequencies, residual = predicted / measured - 1; left out: from the other modes"
                     ),
                 ),
                 ("left_out",),
@@ -287,7 +287,7 @@ def _laminate(laminate: Mapping[str, tuple[float, float]]) -> Table:
 _COMBINATIONS: Final = (
     Heading("combination"),
     *(Heading(text, number=True) for text in ("sd by data", "sd by prior", "prior / data")),
-    Heading("decided by"),
+    Heading("determined by"),
 )
 
 
@@ -351,7 +351,7 @@ def _sensitivity_table(result: SampledResult) -> Table:
         rows.append((profile.name, _interval(profile), *sensitivities, s.diagnosis, shift))
         if s.diagnosis in _DOUBTFUL:
             doubtful.append(i)
-    title = "Profile likelihood, and sensitivity to powers of likelihood and priors (0.05 counts)"
+    title = "Profile likelihood, and sensitivity to powers of likelihood and priors (notable from 0.05)"
     return Table(title, columns, tuple(rows), frozenset(doubtful))
 
 
@@ -359,7 +359,7 @@ def _interval(profile: Profile) -> str:
     """The 95 % region of a profile likelihood, in plate-file units."""
     gaps = "" if profile.parts == 1 else f" in {profile.parts} parts"
     if profile.lower_open and profile.upper_open:
-        return f"anything{gaps}"
+        return f"unbounded{gaps}"
     width = profile.upper - profile.lower
     digits = max(0, 1 - math.floor(math.log10(to_user(profile.name, width)))) if width > 0.0 else 3
     lower, upper = (fixed(to_user(profile.name, v), digits) for v in (profile.lower, profile.upper))
@@ -417,9 +417,9 @@ def _chains(result: SampledResult) -> Table:
 
 
 def _p_value(result: SampledResult) -> str:
-    said = f"{result.p_value:.2f}, the chance of residuals as large with the noise of the chains"
+    said = f"{result.p_value:.2f}, the chance of residuals this large at the noise of the chains"
     if not result.posterior.noise_is_inferred:
-        return f"{said}; small speaks against the plate model"
+        return f"{said}; a small one contradicts the plate model"
     return f"{said}, which is inferred from the same residuals: it checks the chains, not the plate model"
 
 
@@ -469,8 +469,8 @@ def _drawings(result: SampledResult, modes: Rows) -> tuple[Drawing, ...]:
             "posterior",
             partial(pairs_figure, title, draws),
             Caption(
-                "Diagonal: the posterior of each parameter. Below: how two parameters go together; a slanted "
-                "cloud says that the frequencies determine a combination of both better than either.",
+                "Diagonal: the posterior of each parameter. Below: pairs of parameters; a slanted cloud "
+                "means that the frequencies determine a combination of both better than either.",
                 f"Pairs of posterior draws of {names}.",
             ),
         ),

@@ -317,7 +317,7 @@ def computations(
         try:
             run(work, effort, missing, pool, batch_size=1, on_result=keep, is_limited=True)
         except TimeIsUpError as error:
-            raise TimeIsUpError(f"{error}; the same command goes on from there") from error
+            raise TimeIsUpError(f"{error}; the same command resumes there") from error
     return computed
 
 
@@ -559,20 +559,19 @@ COMMAND: Final = Command(
         option(
             "--quick",
             action="store_true",
-            help="small swarms, linearised intervals, no search of angles: it works, and is not to be quoted",
+            help="small swarms, linearised intervals, no search of angles: a demonstration, not to be quoted",
         ),
         option(
             "--all",
             "everything",
             action="store_true",
-            help="compute anew what was stored and what comes with the package; it says at once how long it "
-            "takes: hours for Table 9 and for all tables",
+            help="recompute stored and packaged results; says first how long it takes: hours for Table 9 and "
+            "for all tables",
         ),
         option(
             "--store",
             metavar="DIR",
-            help="keep finished computations in DIR; the same command goes on from there (default: in the "
-            "cache)",
+            help="keep finished computations in DIR; the same command resumes there (default: in the cache)",
         ),
         EXECUTOR,
         WORKERS,

@@ -234,16 +234,16 @@ def noisy_angles(rows: Sequence[Row]) -> tuple[str, ...]:
     by_chance = sum(row.details["chance_within"] or 0.0 for row in of_angles)
     undetermined = [row for row in of_angles if row.verdict == UNDETERMINED]
     printed_found = (
-        "Angles and constants were sought together, as in the paper, by one fuzzy swarm on each of ten lists "
-        f"a level: {found} of {PRINTED_GROUPS * len(of_angles)} inversions end at the printed angles or an "
-        "image with the same frequencies."
+        "Angles and constants were searched together, as in the paper, by one fuzzy swarm on each of ten "
+        f"lists per level: {found} of {PRINTED_GROUPS * len(of_angles)} inversions end at the printed angles "
+        "or an image with the same frequencies."
     )
     means = (
         f"The printed means agree with ours or cannot be told apart at {within} of {len(of_angles)} levels; "
-        f"means of uniform angles would at {by_chance:.1f}. At {len(undetermined)} levels more than "
-        f"{100.0 * _CHANCE:.0f} % of {_DRAWS} draws of uniform angles are as near the print and as close "
-        f"together as our inversions. At {on_grid} all printed means are multiples of {_GRID_DEG:g} degrees, "
-        "as one in ten of such means is."
+        f"uniform angles would agree at {by_chance:.1f} of {len(of_angles)}. At {len(undetermined)} levels "
+        f"more than {100.0 * _CHANCE:.0f} % of {_DRAWS} draws of uniform angles are as near the print and as "
+        f"close together as our inversions. At {on_grid} all printed means are multiples of {_GRID_DEG:g} "
+        "degrees; by chance, one such mean in ten is."
     )
     scatter = " ".join(filter(None, (_scatter(of_angles), _without_noise(rows))))
     return tuple(
@@ -256,9 +256,9 @@ def _scatter(rows: Sequence[Row]) -> str:
     uniform_outer, uniform_inner = _outer_and_inner(rows, "chance_spread_")
     more, uniform, sd = _inner_scatters_more(rows)
     return (
-        f"The outermost unknown angle scatters by {outer:.0f} degrees, the innermost by {inner:.0f}, "
-        f"{more:.1f} more; uniform angles, of which the image nearest the print is taken, by "
-        f"{uniform_outer:.0f} and {uniform_inner:.0f}, {uniform:.1f} +- {sd:.1f} more."
+        f"The outermost unknown angle scatters by {outer:.0f} degrees, the innermost by {inner:.0f} "
+        f"(difference {more:.1f}); uniform angles, on the image nearest the print, by {uniform_outer:.0f} "
+        f"and {uniform_inner:.0f} (difference {uniform:.1f} +- {sd:.1f})."
     )
 
 
@@ -273,7 +273,7 @@ def _without_noise(rows: Sequence[Row]) -> str:
     own = all(2.0 * alone**2 > noise**2 for alone, noise in zip((outer, inner), noisy, strict=True))
     whose = "; most of the scatter is the swarm's own" if own else ""
     return (
-        f"Without noise {swarms} swarms on the measured lists, of which {found} end there, scatter by "
+        f"Without noise {swarms} swarms on the measured lists ({found} end at the print) scatter by "
         f"{outer:.0f} and {inner:.0f}{whose}."
     )
 
@@ -301,9 +301,9 @@ def _weighed_angles(rows: Sequence[Row]) -> str:
     outer, inner = _outer_and_inner(weighed, "bits_")
     true = max(row.details["true_probability"] or 0.0 for row in weighed)
     return (
-        f"All layups weighed by the first list of each level: {outer:.2f} bits of the outermost angle and "
-        f"{inner:.2f} of the innermost, of {weighed[0].details['most_bits']:.2f} "
-        f"({len(weighed)} lists; less of the innermost in {_less_of_the_innermost(weighed)}). The true layup "
+        f"The first list of each level, over all layups, gives {outer:.2f} bits on the outermost angle and "
+        f"{inner:.2f} on the innermost, of {weighed[0].details['most_bits']:.2f} "
+        f"({len(weighed)} lists; less on the innermost in {_less_of_the_innermost(weighed)}). The true layup "
         f"has a probability of {true:.2g} at most.{_explained_by_none(weighed)}"
     )
 
@@ -314,7 +314,7 @@ def _explained_by_none(weighed: Sequence[Row]) -> str:
     if not odd:
         return ""
     which = [f"{row.specimen} at {row.source} (p = {row.details['p_value']:.1g})" for row in odd]
-    return f" No layup explains the list of {listed(which, 'and')}: what it tells is of another plate."
+    return f" No layup explains the list of {listed(which, 'and')}, so it says nothing about this plate."
 
 
 def _less_of_the_innermost(weighed: Sequence[Row]) -> int:
@@ -331,7 +331,7 @@ def _inner_plies(rows: Sequence[Row]) -> str:
     is_few = bool(weighed) and _chance_of(len(weighed), len(weighed)) > _CHANCE
     few = "; so few lists cannot show it by their bits" if is_few else ""
     return (
-        "That inner plies are more sensitive to noise than outer ones, as the paper says, is shown "
+        "The paper's claim that inner plies are more sensitive to noise than outer ones is supported "
         f"{shown}{few}."
     )
 

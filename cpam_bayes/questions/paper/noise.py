@@ -296,13 +296,13 @@ def means_of_ten(rows: Iterable[Row]) -> str:
     if found is None:
         return ""
     said = (
-        "Noise as eq. (12) must mean it, since the printed b has the unit of 1/frequency: a level of the "
-        "root mean square frequency, the same for all modes, times a standard normal number (by Box-Muller "
-        "in the paper). "
+        "Eq. (12), whose printed b has the unit of 1/frequency, can only mean: a level of the root mean "
+        "square frequency, the same for all modes, times a standard normal number (by Box-Muller in the "
+        "paper). "
         f"Of {found.changes} printed changes {found.stuck} have no standard error: half or more of our ten "
         f"inversions sit on a bound. {found.hidden} of the other {found.changes - found.stuck} are smaller "
         "than the standard error of a mean of ten. The printed change keeps its sign and grows from 1 to 5 "
-        f"to 10 % for {found.printed_grow} of {found.constants} constants, ours, the layup known, for "
+        f"to 10 % for {found.printed_grow} of {found.constants} constants; ours, with known layup, for "
         f"{found.ours_grow}. A mean shows the bias of the inversion; the spread is the posterior interval."
     )
     return " ".join(filter(None, (said, _over_layups(rows))))
@@ -323,7 +323,7 @@ def _over_layups(rows: Iterable[Row]) -> str:
         )
     if without:
         said.append(
-            f"For {listed(without, 'and')} none over all layups was computed: means alone are compared."
+            f"For {listed(without, 'and')} no interval over all layups was computed: only means are compared."
         )
     return " ".join(said)
 

@@ -33,8 +33,8 @@ def wrong_plates(document: Record) -> Iterator[str]:
         f"## What is wrong with {listed(tuple(wrong), 'and')}",
         "",
         "With constants near the data sheet the printed plate misses these measured frequencies by more "
-        f"than {UNEXPLAINED_PERCENT:g} % (rms). Left: that misfit, the misfit with the constants of the "
-        "smallest F, eq. (7), within wide bounds (high modes weigh most), and the misfit with the cause that "
+        f"than {UNEXPLAINED_PERCENT:g} % (rms). Misfit is given with these constants, with those of the "
+        "smallest F, eq. (7), within wide bounds (high modes weigh most), and with the cause that "
         "`cpam-bayes diagnose` finds.",
         "",
         *(f"- **{name}**: {_in_words(error, _least(document, name))}" for name, error in wrong.items()),
@@ -80,7 +80,7 @@ def _factor(error: Record) -> str:
         for mm in dict.fromkeys(others.values())
     )
     return (
-        f"{said}; a plate {times} times as thick would have them (about {thickness:.1f} mm and not "
+        f"{said}; a plate {times} times as thick would have them (about {thickness:.1f} mm, not "
         f"{error['thickness_mm']:g} mm{f'; {of_others}' if of_others else ''})."
     )
 
@@ -104,7 +104,7 @@ def _size(name: str, size: Mapping[str, Any]) -> str:
 
 def _left(error: Record, least: str) -> str:
     """Misfits side by side: of the printed plate, at the smallest F, and with the claimed cause."""
-    parts = [f"Left: {_TWO_DIGITS(error['plain_rms_percent'])} %"]
+    parts = [f"Misfit: {_TWO_DIGITS(error['plain_rms_percent'])} %"]
     if least:
         parts.append(least)
     extended = error["extended_rms_percent"]
@@ -129,8 +129,10 @@ def claimed(error: Record) -> str:
 _DIAGNOSED: Final = (
     Column("plate", "specimen", itemgetter("specimen")),
     Column("claim", None, claimed),
-    Column("left %", "plain_rms_percent", itemgetter("plain_rms_percent"), _TWO_DIGITS, True),
-    Column("left % with it", "extended_rms_percent", itemgetter("extended_rms_percent"), _TWO_DIGITS, True),
+    Column("misfit %", "plain_rms_percent", itemgetter("plain_rms_percent"), _TWO_DIGITS, True),
+    Column(
+        "misfit % with cause", "extended_rms_percent", itemgetter("extended_rms_percent"), _TWO_DIGITS, True
+    ),
     Column("log Bayes factor", "log_bayes_factor", itemgetter("log_bayes_factor"), "{:.0f}".format, True),
     Column("log score of frequencies left out", None, _left_out, number=True),
 )

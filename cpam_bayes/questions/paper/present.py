@@ -363,7 +363,7 @@ def _headline(document: Record) -> str:
     numbers = [t["table"] for t in document["tables"]]
     of = f"Table {numbers[0]}" if len(numbers) == 1 else f"{len(numbers)} tables"
     if not computed:
-        return f"{of} holds inputs only: {counts[INPUT]} printed values, nothing to be computed."
+        return f"{of} holds inputs only: {counts[INPUT]} printed values, nothing to compute."
     agree = (
         f"{counts[AGREES]} of {computed} printed values of {of} {_verb(counts[AGREES], 'agrees', 'agree')}"
     )
@@ -390,8 +390,8 @@ def _of_angles(document: Record) -> Iterator[str]:
     """Remark on a table with angles of noisy lists: what our values and intervals refer to."""
     if len(document["tables"]) == 1 and any(map(_has_spread, document["rows"])):
         yield (
-            "Free disorder: constants of the known layup. Below it ours are means of ten lists, angles "
-            "sought too, and intervals are over all layups of one list."
+            "Free disorder: constants of the known layup. Rows below it: ours are means of ten lists, angles "
+            "searched too; intervals are over all layups of one list."
         )
 
 
@@ -406,7 +406,7 @@ def _when(document: Record) -> Iterator[str]:
     if days:
         seconds = sum(record["seconds"] for record in document["computed"].values())
         when = " to ".join(dict.fromkeys((days[0], days[-1])))
-        yield f"Computed {when}, {duration(seconds)} in all; --all computes anew."
+        yield f"Computed {when}, {duration(seconds)} in all; --all recomputes."
 
 
 def page(document: Record) -> str:
@@ -421,8 +421,8 @@ def _lines(document: Record) -> Iterator[str]:
         "# The paper's tables, reproduced and audited",
         "",
         "Written by `python studies/19_paper.py`. Tables are of Masoumi and Ghasemi Ghalebahman (2017). "
-        f"Of {len(document['rows'])} printed values {inputs} are inputs and the others stand beside computed "
-        "ones in [comparison.csv](comparison.csv); `cpam-bayes paper N` shows one table. "
+        f"Of {len(document['rows'])} printed values {inputs} are inputs; the others are compared with "
+        "computed ones in [comparison.csv](comparison.csv); `cpam-bayes paper N` shows one table. "
         f"{_computed(document['computed'])}",
         "",
         *wrong_plates(document),
@@ -435,7 +435,7 @@ def _lines(document: Record) -> Iterator[str]:
         "mean of ten to two standard errors of the difference of two such means and to 5 %. *Cannot be told "
         "apart*: within the standard errors, but more than 5 % apart. *Within the posterior*: in the 95 % "
         "interval up to half a unit of the last printed digit, or in the 95 % set of stacking sequences. "
-        "Where half of the ten inversions or more sit on a bound there is no standard error. *Not "
+        "Where half or more of the ten inversions sit on a bound there is no standard error. *Not "
         "determined*: there is neither a standard error nor an interval, or the angles found show no "
         "preference. Inputs and references are not counted.",
         "",
@@ -508,11 +508,12 @@ def _other_bounds(misfits: Sequence[Record]) -> str:
     for misfit in misfits:
         for name, (low, high) in misfit["beyond_eq_8"].items():
             found.setdefault((name, low, high, misfit["case"]), []).append(misfit["specimen"])
-    return "".join(
-        f", but {name.partition('_')[0]} from {low:g} to {high:g} GPa for {listed(plates, 'and')}"
+    each = "; ".join(
+        f"{name.partition('_')[0]} from {low:g} to {high:g} GPa for {listed(plates, 'and')}"
         f"{'' if case == BUILT_IN else f' with {case}'}"
         for (name, low, high, case), plates in found.items()
     )
+    return f", except {each}" if each else ""
 
 
 def _of_one_swarm(misfits: Sequence[Record]) -> str:
@@ -521,7 +522,7 @@ def _of_one_swarm(misfits: Sequence[Record]) -> str:
     if not alone:
         return ""
     each = listed([f"{_case(m)} ({m['swarms_found']} of {m['swarms']})" for m in alone], "and")
-    return f"One swarm alone found it on {each}: there it may not be the smallest."
+    return f"Only one swarm found it on {each}: it may not be the smallest there."
 
 
 def _diagnosed_lines(simulation: Sequence[Record]) -> Iterator[str]:
@@ -530,9 +531,9 @@ def _diagnosed_lines(simulation: Sequence[Record]) -> Iterator[str]:
     yield from (
         "## Diagnosis of every measured list",
         "",
-        "The answers stand in [findings](findings.md). Left is the rms misfit with constants near the data "
-        "sheet, and with the cause. The log Bayes factor (nats) is of the cause against none; the log score "
-        "(nats) its gain on frequencies left out of the fit.",
+        "For the answers see [findings](findings.md). Misfit is rms, with constants near the data sheet, and "
+        "with the cause. The log Bayes factor (nats) is of the cause against none; the log score (nats) its "
+        "gain on frequencies left out of the fit.",
         "",
     )
     yield from _markdown(diagnosed(simulation))
@@ -565,8 +566,8 @@ def _hadamard_lines(conditions: Sequence[Record]) -> Iterator[str]:
         "",
         "*Existence*: the root of the residual sum of squares over the degrees of freedom is at most "
         f"{conditions[0]['repeatability_percent']:.2g} %, the 97.5 % point of this package's prior of "
-        "repeatability (the paper states none), and the rounding of the list, "
-        f"{least:.1g} to {most:.1g} % (rms), added in squares. "
+        "repeatability (the paper states none), plus, in quadrature, the rounding of the list, "
+        f"{least:.1g} to {most:.1g} % (rms). "
         "*Uniqueness*: the sensitivities d ln f / d ln x have full rank, and no other optimum or stacking "
         "sequence (95 % set) fits within the noise. "
         f"Existence holds for {len(exist)} of {len(conditions)} choices of plate and unknowns"

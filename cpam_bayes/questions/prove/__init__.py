@@ -126,7 +126,7 @@ def _require_described(point: PointResult) -> None:
         off = significant(100.0 * point.estimate.rms, 2)
         raise PlateFileError(
             f"{point.specimen.source}: the first list is {off} % off the plate model, whose mode shapes then "
-            "cannot tell where a mass is; mend the plate file first: identify names what is likely wrong"
+            "cannot locate a mass; correct the plate file first: identify names the likely error"
         )
 
 

@@ -46,7 +46,7 @@ def require_complete(specimen: Specimen, first: Measurement) -> None:
     if not first.complete:
         raise PlateFileError(
             f"{specimen.source}: measurement.complete is false; prove compares lists mode by mode: "
-            "give lists in which no mode is missing, as far as they reach"
+            "give lists without gaps"
         )
 
 

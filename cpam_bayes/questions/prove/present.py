@@ -141,7 +141,7 @@ _SHIFT_COLUMNS: Final = (
 def _present(result: CoinResult) -> Report:
     rows = Rows("coins", _COLUMNS, result.coins, lambda c: c.is_inside is False)
     shifts = Rows("shifts", _SHIFT_COLUMNS, _shifted(result), lambda s: not s.is_inside)
-    of_seal = (shifts.table("Frequencies that the first list and the seal predict"),) if shifts.rows else ()
+    of_seal = (shifts.table("Frequencies predicted from the first list and the seal"),) if shifts.rows else ()
     limit = result.detection_limit
     return Report(
         summary=result.screen(
@@ -154,9 +154,7 @@ def _present(result: CoinResult) -> Report:
                 *_mirrored(result),
                 *((f"SHA-256 of the seal: {result.hash}",) if result.hash else ()),
             ),
-            next_step=""
-            if result.hash
-            else "seal mass and place in a file before the answer.  --sealed FILE",
+            next_step="" if result.hash else "seal mass and place in a file beforehand.  --sealed FILE",
         ),
         sections=(
             Section(
@@ -193,7 +191,7 @@ def _mirrored(result: CoinResult) -> tuple[str, ...]:
     several = [coin for coin in result.coins if coin.is_added and coin.found.images]
     if not several:
         return ()
-    places = f" {_or_images(several[0])}" if len(result.coins) == 1 else "; the certificate has these"
+    places = f" {_or_images(several[0])}" if len(result.coins) == 1 else "; see the certificate"
     return (f"No list tells a place from its mirror images{':' * (len(result.coins) == 1)}{places}.",)
 
 
@@ -220,7 +218,7 @@ def _headline(result: CoinResult) -> str:
         return f"Neither noise nor a mass of up to {most} g explains the second list: something else changed."
     if found.finding is Finding.NOTHING:
         sealed = "" if stated is None else f"; the seal says {_sealed(coin)}"
-        return f"Nothing of {significant(_GRAM * found.interval[1], 2)} g or more was added{sealed}."
+        return f"No mass of {significant(_GRAM * found.interval[1], 2)} g or more was added{sealed}."
     shown = f"{_grams(coin)} g"
     if stated is not None:
         return f"{_found_for(coin)}; {_inside(coin)}."
@@ -240,8 +238,8 @@ def _agreement(result: CoinResult) -> tuple[str, ...]:
         weight = np.array([(c.stated.mass / c.found.sd) ** 2 for c in known if c.stated])
         mean, sd = float(weight @ ratio / weight.sum()), float(weight.sum() ** -0.5)
         said.append(
-            f"Found over sealed masses: {' +- '.join(with_spread(mean, sd))}; "
-            "1 where the plate's mass, on which its moduli rest, is right."
+            f"Found / sealed mass: {' +- '.join(with_spread(mean, sd))}; "
+            "1 if the plate's mass, which scales its moduli, is right."
         )
     return tuple(said)
 
@@ -258,10 +256,10 @@ def _found_for(coin: Coin) -> str:
     if found is Finding.OTHER:
         shown = "no mass that explains the list"
     elif found is Finding.NOTHING:
-        shown = f"nothing of {significant(_GRAM * coin.found.interval[1], 2)} g or more"
+        shown = f"no mass of {significant(_GRAM * coin.found.interval[1], 2)} g or more"
     off = "" if coin.distance is None else f", {fixed(_MILLIMETRE * coin.distance, 0)} mm off"
     outside = "" if coin.is_inside else ", outside its 95 % interval"
-    return f"{shown} was found for {_sealed(coin)}{off}{outside}"
+    return f"{shown} was found, {_sealed(coin)} sealed{off}{outside}"
 
 
 def _inside(coin: Coin) -> str:
@@ -312,17 +310,17 @@ def _computation(result: CoinResult) -> Any:
         "Computation",
         (
             ("modes", f"of the plate as identified from the first list, fit {fit} %"),
-            ("shifts", "of a disc of 12 to 48 kg/m2, steel of 1.5 to 6 mm; 2 % of each for its form"),
+            ("shifts", "of a disc of 12 to 48 kg/m2, steel of 1.5 to 6 mm; 2 % of each for its shape"),
             ("repeatability", f"{noise} % of a frequency in each list"),
-            ("prior", "0.5 for nothing; else 0.05 to 15 % of the plate's mass, even in its logarithm"),
-            ("detection limit", "claimed in 95 % of simulated lists, but for the fifth of the plate where a "
-             "mass shows least"),
+            ("prior", "0.5 for no mass; else log-uniform, 0.05 to 15 % of the plate's mass"),
+            ("detection limit", "claimed in 95 % of simulated lists, except on the fifth of the plate where "
+             "a mass shows least"),
         ),
     )  # fmt: skip
 
 
 _CAPTION: Final = Caption(
-    "Dots: where each mass may be, among them its mirror images. Crosses: what the seal says.",
+    "Dots: possible places of each mass, mirror images included. Crosses: sealed places.",
     "The plate with the places that the lists allow for each mass, and the sealed ones.",
 )
 

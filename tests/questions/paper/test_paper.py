@@ -225,8 +225,8 @@ def test_the_page_follows_the_document(document):
         misfits = [{**m, **changes} for m in document["audit"]["misfits"]]
         return page({**document, "audit": {**document["audit"], "misfits": misfits}})
 
-    assert "One swarm alone found it" in of_misfits()
-    assert "One swarm" not in of_misfits(swarms_found=2)
+    assert "Only one swarm found it" in of_misfits()
+    assert "Only one swarm" not in of_misfits(swarms_found=2)
     assert of_misfits(rms_percent=1.2345) != of_misfits()
 
 

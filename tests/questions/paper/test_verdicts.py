@@ -118,9 +118,9 @@ def test_where_angles_are_sought_their_search_is_compared_with_the_interval_over
     first, *others = weighed[LAYUPS]["levels"]
     weighed[LAYUPS]["levels"] = [{**first, "p_value": 3e-5}, *others]
     said = noisy_angles(rows_of(11, weighed))
-    assert "No layup explains the list of C1 at 1 % disorder (p = 3e-05): what it tells is" in said
+    assert "No layup explains the list of C1 at 1 % disorder (p = 3e-05), so it says nothing" in said
     without = rows_of(11, alone)
-    assert "For C1 none over all layups" in means_of_ten(without)
+    assert "For C1 no interval over all layups" in means_of_ten(without)
     row = of(without, "E1_GPa")
     assert (row.ours, row.q025, row.q975, row.verdict) == (100.0, None, None, NOT_REPRODUCIBLE)
     assert "interval" not in row.reason
@@ -200,10 +200,10 @@ def test_inversions_that_prefer_some_angles_are_judged_by_these(shift, width, ve
 @pytest.mark.parametrize(
     ("bits", "less", "inner", "shown"),
     [
-        ([1.5, 0.9, 0.4, 0.1], 6, True, "is shown by the bits and by the scatter"),
-        ([1.5, 0.9, 0.4, 0.1], 6, False, "is shown by the bits, not by the scatter"),
-        ([0.1, 0.9, 0.4, 1.5], 0, True, "is shown by the scatter of the inversions, not by the bits"),
-        ([0.1, 0.9, 0.4, 1.5], 0, False, "is shown neither"),
+        ([1.5, 0.9, 0.4, 0.1], 6, True, "is supported by the bits and by the scatter"),
+        ([1.5, 0.9, 0.4, 0.1], 6, False, "is supported by the bits, not by the scatter"),
+        ([0.1, 0.9, 0.4, 1.5], 0, True, "is supported by the scatter of the inversions, not by the bits"),
+        ([0.1, 0.9, 0.4, 1.5], 0, False, "is supported neither"),
     ],
 )
 def test_what_the_paper_says_of_inner_plies_is_shown_beyond_chance_or_not(bits, less, inner, shown):
@@ -217,9 +217,9 @@ def test_what_the_paper_says_of_inner_plies_is_shown_beyond_chance_or_not(bits, 
         computed[LAYUPS]["levels"][0]["bits"] = bits
         rows += rows_of(number, {(kind, name, case): found for (kind, _, case), found in computed.items()})
     said = noisy_angles(rows)
-    assert f"less of the innermost in {less})" in said
+    assert f"less on the innermost in {less})" in said
     assert shown in said
-    assert "bits of" not in noisy_angles([row for row in rows if "bits_1" not in row.details])
+    assert "bits on" not in noisy_angles([row for row in rows if "bits_1" not in row.details])
 
 
 def test_scatter_that_uniform_angles_have_too_shows_nothing_and_swarms_on_the_measured_list_stand_beside_it():
@@ -230,18 +230,18 @@ def test_scatter_that_uniform_angles_have_too_shows_nothing_and_swarms_on_the_me
     assert np.mean([d["spread_4_deg"] - d["spread_1_deg"] for d in spread]) > 5.0
     assert "by the scatter of the inversions, not" not in noisy_angles(rows)
     # too few lists for a sign test
-    assert "is shown neither by the bits nor by the scatter" in noisy_angles(rows)
+    assert "is supported neither by the bits nor by the scatter" in noisy_angles(rows)
     _, computed = sought_and_weighed(125.0, 129.0)  # swarms on the measured list
     rows = rows_of(11, computed)
     free = of(rows, "angles_deg", "free disorder").details
     assert (free["swarms"], free["swarms_found"]) == (20.0, 0.0)
     assert free["free_spread_1_deg"] > 20.0
-    assert "Without noise 20 swarms on the measured lists, of which 0 end there" in noisy_angles(rows)
+    assert "Without noise 20 swarms on the measured lists (0 end at the print)" in noisy_angles(rows)
     assert "most of the scatter is the swarm's own" in noisy_angles(rows)  # the ends scatter in one ply only
     at_random(computed, np.random.default_rng(1))
     alike = {"cases": {"C1": {"angles_deg": [[0, 90, 0, 90]] * 20}}}
     said = noisy_angles(list(noise_rows(printed_table(11), computed, packaged("sequences"), alike)))
-    assert "of which 20 end there, scatter by 0 and 0." in said
+    assert "(20 end at the print) scatter by 0 and 0." in said
 
 
 @pytest.mark.slow
