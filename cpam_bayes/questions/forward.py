@@ -444,7 +444,7 @@ def _shapes(result: ForwardResult) -> Figure:
     )
 
 
-_UNPAIRED: Final = "The list may lack modes: a frequency without label or shape stands beside no mode."
+_UNPAIRED: Final = "The list may lack modes: a frequency without label or shape is beside no mode."
 
 
 def _headline(rows: tuple[_Row, ...]) -> str:
@@ -484,7 +484,7 @@ def _next_step(result: ForwardResult) -> str:
     if specimen.measurement is None or not specimen.unknowns.size:
         missing = "measured frequencies" if specimen.measurement is None else "the unknown constants"
         return f"add {missing} to the plate file, and identify the constants."
-    return f"which constants has the plate?  cpam-bayes identify {plate_argument(specimen)}"
+    return f"what are the plate's constants?  cpam-bayes identify {plate_argument(specimen)}"
 
 
 def _computation(result: ForwardResult) -> Table:

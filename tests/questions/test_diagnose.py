@@ -181,7 +181,7 @@ def test_a_false_peak_belongs_to_no_mode_and_later_ones_to_the_mode_before(false
     _, _, third, fourth, *_ = table(false_peak, "Fit of each mode")
     assert fourth[-1] == "was mode 4, (2,1)"
     assert "no mode" in third
-    assert "190.2 Hz is no mode" in claim_sentence(false_peak)
+    assert "190.2 Hz is not a mode" in claim_sentence(false_peak)
 
 
 def test_several_plates_have_one_object_each_and_share_their_constants(two_plates):
@@ -211,7 +211,7 @@ def test_hidden_errors_and_priors_of_families_causes_and_sizes_are_told(clean):
     assert per_unit["nu12"] == pytest.approx(0.0, abs=0.02)
     (entry,) = document(clean)["absorbed"]
     assert entry["bias_percent"]["E1_GPa"] == pytest.approx(entry["at"] * per_unit["E1_GPa"])
-    ((title, size, *_),) = table(clean, "Errors that hide in the constants")
+    ((title, size, *_),) = table(clean, "Errors absorbed by the constants")
     assert (title, size) == (TITLES["frequency_scale"], "2 %")
     priors = document(clean)["priors"]  # a set has no family among the priors
     assert (priors["none"], priors["other"]) == (0.5, 0.05)

@@ -53,7 +53,7 @@ def test_a_label_puts_a_frequency_beside_its_mode_and_the_others_in_order(carbon
     assert paired(alone) == [(None, None), (None, None), (1.01, "label")]
     gaps = with_list(carbon, third, "", complete=False)
     assert paired(gaps) == paired(alone)
-    assert any("stands beside no mode" in said for said in gaps.report().summary.lines)
+    assert any("is beside no mode" in said for said in gaps.report().summary.lines)
     measurement = unlabelled.specimen.measurement  # a label of no computed mode is flagged
     assert label_notices(measurement, carbon.modes) == ()
     (said,) = label_notices(replace(measurement, labels=("(9,9)", "", "")), carbon.modes)

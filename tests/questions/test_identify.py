@@ -77,7 +77,7 @@ def test_the_origin_of_the_noise_is_named_and_without_spare_frequencies_there_ar
     unknown = with_constants(point, 2, sd=math.nan, interval=None, verdict=Verdict.PRIOR)
     blind = with_estimate(unknown, noise=math.nan)
     noise = [cells(result, "Fit")["noise"][1] for result in (point, given, blind)]
-    assert "6 frequencies less 2 unknowns" in noise[0]
+    assert "6 frequencies minus 2 unknowns" in noise[0]
     assert noise[1:] == ["0.50 % of a frequency, as stated in the plate file", "not known"]
     assert not any("intervals contain" in line for line in blind.report().summary.lines)
     document = blind.to_dict()

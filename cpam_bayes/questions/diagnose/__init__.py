@@ -445,7 +445,7 @@ def _hidden(d: Diagnosis) -> Table:
         moved = [f"{one * per_unit.get(user_name(name), 0.0):+.2g}" for name in names]
         size = f"{one:g} {unit}".strip()
         rows.append((title_of(d, cause.name), size, f"{100 * cause.visible:.0f} %", *moved))
-    return Table("Errors that hide in the constants, and how far they move them", columns, tuple(rows))
+    return Table("Errors absorbed by the constants, and their effect", columns, tuple(rows))
 
 
 def _constants(d: Diagnosis) -> Table:
@@ -494,7 +494,7 @@ def _gain(d: Diagnosis) -> Table:
         ("log Bayes factor", f"{signed(gain.log_bayes_factor, 1)} against the plain model"),
         ("held-out modes", f"log score {score} +- {se}, each predicted from the others"),
         ("selection", f"repeated without each frequency, among {gain.n_hypotheses} hypotheses"),
-        ("stable", f"ahead without one frequency in {100 * gain.stable:.0f} % of the cases"),
+        ("stable", f"better without one frequency in {100 * gain.stable:.0f} % of the cases"),
         ("p-value", f"{_p_value(d, d.extended)}, with what was found"),
     )
     return facts("Gain of the extended model", rows)
@@ -503,9 +503,9 @@ def _gain(d: Diagnosis) -> Table:
 def _next(result: DiagnosisResult) -> Table:
     rows = _rows(result, "next_measurement")
     further = len(rows.rows) - _TESTS_SHOWN
-    more = f", {further} more tell less" if further > 0 else ""
+    more = f", {further} weaker ones not shown" if further > 0 else ""
     shown = replace(rows, rows=rows.rows[:_TESTS_SHOWN])
-    return shown.table(f"Further tests by what they tell about the cause{more}")
+    return shown.table(f"Further tests, ranked by information about the cause{more}")
 
 
 def _plates_section(result: DiagnosisResult) -> Section:
@@ -537,7 +537,7 @@ def _work(d: Diagnosis, seed: int) -> Table:
         (
             "prior probabilities",
             f"nothing wrong {prior:g}, unknown error {other:.3g}, several at once {several:.3g}, the rest "
-            f"evenly over {len(families)} families of causes",
+            f"shared equally by {len(families)} families of causes",
         ),
         (
             "work",

@@ -137,13 +137,13 @@ def _undecided(d: Diagnosis) -> str:
         return f"{begun}; most probable so far: {_with_probabilities(d, causes)}." if causes else f"{begun}."
     wrong, open_ = probability_text(d.something_wrong), _with_probabilities(d, causes)
     if d.something_wrong >= CLAIM_RULES.sure:
-        return f"Something is wrong ({wrong}); what, is open: {open_}."
+        return f"Something is wrong ({wrong}); cause open: {open_}."
     if d.baseline.predictive_p <= CLAIM_RULES.explained:
-        return f"The misfit is more than noise; what is wrong, is open: {open_}."
+        return f"The misfit is more than noise; cause open: {open_}."
     factor = significant(d.bayes_factor, 2)
     if d.bayes_factor < _EVIDENCE:
         return f"This test is too weak to exclude an error (Bayes factor {factor})."
-    return f"Perhaps something is wrong ({wrong}, Bayes factor {factor}); what, is open: {open_}."
+    return f"Perhaps something is wrong ({wrong}, Bayes factor {factor}); cause open: {open_}."
 
 
 def _with_probabilities(d: Diagnosis, causes: Mapping[str, float]) -> str:
@@ -207,7 +207,7 @@ def _in_list(d: Diagnosis, cause: Cause) -> list[str]:
     if missed:
         return [f"the list lacks mode {missed}"]
     if hz:
-        return [f"{hz} is no mode of the plate"]
+        return [f"{hz} is not a mode of the plate"]
     return [f"misread frequency {f[i]:g} Hz" for i in change.misread]
 
 

@@ -357,7 +357,7 @@ _UNITS: Final = {"absolute": ("Hz", 1.0), "relative": ("%", 100.0), "whitened": 
 _MISFIT: Final = {
     "absolute": "sum of squared differences in Hz, eq. (7)",
     "relative": "sum of squared relative differences",
-    "whitened": "sum of squared differences over what noise, solver and theory scatter",
+    "whitened": "sum of squared differences over their standard deviations (noise, solver, theory)",
 }
 # A bending-twisting stiffness below this fraction of D11 is rounding error.
 _ROUNDING: Final = 1e-9
@@ -412,7 +412,7 @@ def _present(result: PointResult) -> Report:
                 (
                     *(() if result.angles is None else (_angles(result.angles),)),
                     constant_details(constants, specimen.material, estimate.alone),
-                    *((optima.table("Optima that the noise does not tell apart"),) if several else ()),
+                    *((optima.table("Optima that fit equally well within the noise"),) if several else ()),
                     errors_table(estimate.scale_errors, [c.name for c in constants]),
                     reliance_table(estimate.reliances, lambda n: specimen.unknowns[n].prior, use),
                     _laminate(estimate.laminate),
@@ -579,7 +579,7 @@ def _noise(estimate: PointEstimate, measurement: Measurement) -> str:
         average = " on average" if measurement.frequency_sd is not None else ""
         return f"{level}{average}, as stated in the plate file{rounding}"
     n, k = measurement.size, len(estimate.constants)
-    return f"{level}, inferred from the residuals of {n} frequencies less {k} unknowns{rounding}"
+    return f"{level}, inferred from the residuals of {n} frequencies minus {k} unknowns{rounding}"
 
 
 def _laminate(stiffness: Mapping[str, float]) -> Table:
@@ -615,15 +615,15 @@ def _drawings(result: PointResult) -> tuple[Drawing, ...]:
     if math.isfinite(estimate.noise):
         source = "inferred from these bars" if estimate.noise_is_inferred else "of the plate file"
         band = (
-            f" The grey band is two standard deviations of the noise, {source}: noise does not explain a bar "
-            "that leaves it."
+            f" The grey band is two standard deviations of the noise, {source}: a bar beyond it is more than "
+            "noise."
         )
     optima = Drawing(
         "optima",
         partial(_optima_figure, result),
         Caption(
-            "Each line is an optimum that the noise does not tell from the best one, across the search "
-            "interval of each constant. Where lines part, the constant has more than one possible value.",
+            "Each line is an optimum that fits as well as the best within the noise, over the search "
+            "interval of each constant. Where lines diverge, the constant has more than one possible value.",
             f"{len(result.optima)} optima across the search intervals; the best has "
             f"F = {significant(result.optima[0][0].value, 3)}.",
         ),
@@ -719,6 +719,6 @@ def _optima_figure(result: PointResult) -> Figure:
     axes.set_yticks(range(len(constants)), [c.name for c in constants])
     axes.set(xlim=(-0.03, 1.03), ylim=(len(constants) - 0.4, -0.7), xlabel="place in the search interval")
     axes.grid(axis="x", color="0.9")
-    axes.set_title(f"{result.specimen.name}: optima that the noise does not tell apart", loc="left")
+    axes.set_title(f"{result.specimen.name}: optima that fit equally well within the noise", loc="left")
     figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize="small")
     return figure
