@@ -222,8 +222,8 @@ def _large_misfit(facts: Facts) -> str:
         f"{_percent(facts['misfit'])} off"
     ) + (
         _explained(facts)
-        or ", where a tap test repeats to 1 % or better. Before using the constants, check units, sizes, "
-        "edges, layup and the order of the list."
+        or ", where a tap test repeats to 1 % or better. Do not use the constants until units, sizes, "
+        "edges, layup and the order of the list are checked."
     )
 
 
@@ -560,8 +560,8 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "far_reference": _far_reference,
     "search_model": _search_model,
     "poor_fit": (
-        "The best fit of mode {mode} is {residual:signed percent} off. Before trusting the constants, check "
-        "the plate, the edges and the order of the list."
+        "The best fit of mode {mode} is {residual:signed percent} off. Do not trust the constants until "
+        "the plate, the edges and the order of the list are checked."
     ),
     "optimum_on_constraint": "The best constants lie on the constraint {constraint:constraint}",
     "cut_posterior": "The posterior is cut by the constraint {constraint:constraint}",
