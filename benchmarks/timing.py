@@ -44,7 +44,7 @@ def interleaved(
 ) -> dict[Key, NDArray[np.float64]]:
     """Seconds of each call in each round, (rounds,), nan where it sat out.
 
-    Each call is made once beforehand, to warm up and to find out how long it takes. The order of the calls
+    Each call is made once first, to warm up and to find out how long it takes. The order of the calls
     is reversed from one round to the next, so that a change in the machine's load favours none.
     clock : ``time.process_time`` leaves out the time of other programs, for calls that start none.
     """

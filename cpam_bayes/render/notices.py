@@ -229,7 +229,7 @@ def _large_misfit(facts: Facts) -> str:
 
 def _misfit_over_noise(facts: Facts) -> str:
     return (
-        "The plate model does not describe these frequencies: its best fit misses them by "
+        "The plate model does not describe these frequencies: the misfit is "
         f"{significant(facts['times'], 2)} times the stated noise"
     ) + (_explained(facts) or ", and the true constants can be far outside the intervals. Run `diagnose`.")
 

@@ -234,7 +234,7 @@ def test_a_folder_of_plates_has_its_four_verdicts_first_and_a_certificate(tmp_pa
     assert [row.is_judged for row in result.rows] == [True] * 6 + [False]
     assert result.report().summary.headline.startswith(
         "4 pass, 1 fail (b4: thinner or softer; gauge it), "
-        "1 not judged (b6: a decimal point of frequency 6?), "
+        "1 cannot be judged (b6: a decimal point of frequency 6?), "
         "1 too close to call (b5: thinner or softer; gauge it)."
     )
     page, row = result.texts()["certificate.html"], result.rows[4]

@@ -22,12 +22,7 @@ from cpam_bayes.render.report import Column, Rows, Section, facts
 _MOST_NAMED, _MOST_CAUSES = 3, 2
 # Entries of a plate file about its test.
 _STATED: Final = ("specimen", "laboratory", "operator", "date")
-_COUNTED: Final[dict[BatchVerdict, str]] = {
-    "pass": "pass",
-    "fail": "fail",
-    "cannot be judged": "not judged",
-    "too close to call": "too close to call",
-}
+_IN_ORDER: Final[tuple[BatchVerdict, ...]] = ("pass", "fail", "cannot be judged", "too close to call")
 _SLIPS: Final = {
     "sides": "length and width exchanged?",
     "layup": "the layup turned by 90 degrees?",
@@ -48,11 +43,11 @@ _TOGETHER, _APART, _SAME = 0.01, 0.01, 0.005
 def four_verdicts(result: BatchResult) -> str:
     """How many plates pass, fail, cannot be judged or are too close to call, and why."""
     said = []
-    for which, counted in _COUNTED.items():
+    for which in _IN_ORDER:
         rows = [row for row in result.rows if verdict(result, row) == which]
         if not rows:
             continue
-        text = f"{len(rows)} {counted}"
+        text = f"{len(rows)} {which}"
         why = {row.name: reason for row in rows if (reason := _why(result, row, which))}
         if why:
             each = [f"{name}: {reason}" for name, reason in why.items()][:_MOST_NAMED]

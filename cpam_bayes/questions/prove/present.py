@@ -154,7 +154,7 @@ def _present(result: CoinResult) -> Report:
                 *_mirrored(result),
                 *((f"SHA-256 of the seal: {result.hash}",) if result.hash else ()),
             ),
-            next_step="" if result.hash else "seal mass and place in a file beforehand.  --sealed FILE",
+            next_step="" if result.hash else "seal mass and place in a file first.  --sealed FILE",
         ),
         sections=(
             Section(

@@ -155,8 +155,8 @@ def in_short(total: int, scores: Record, seal: Record, states: int = 1) -> str:
     by = f", by {states} code versions" if states > 1 else ""
     said = (
         f"**Blind test** ([simulated lists](docs/hidden_effects.md), {answered} answered{by}): 95 % "
-        f"intervals contain {_share(scores, scoring.COVERED)} constants drawn from priors ({least:.0f} to "
-        f"{most:.0f} % predicted), {_share(scores, scoring.COVERED_OF_BRICKS)} from bricks; "
+        f"intervals contain {_share(scores, scoring.COVERED)} constants of lists from priors ({least:.0f} to "
+        f"{most:.0f} % predicted), {_share(scores, scoring.COVERED_OF_BRICKS)} of bricks; "
         f"{_counted(scores, scoring.WRONG_CLAIMS)} claims are wrong (at most {wrong:.0f} % predicted). "
         f"Stated probabilities are {too_sure['value']:.2f} ({low:.2f} to {high:.2f}) too high."
     )
