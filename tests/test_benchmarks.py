@@ -83,8 +83,7 @@ def test_a_small_run_of_samplers_has_the_documented_keys():
     times = {(row["moves"], row["walkers"]): row["autocorrelation_time"] for row in results["rows"]}
     # three steps against forty, on longer chains
     assert all(times[samplers.JUMPS, n] < 0.5 * times[samplers.DE, n] for n in {n for _, n in times})
-    solves = results["fit"]["solves"]  # in rounds of 512
-    assert (solves % 512, solves >= 2 * 512) == (0, True), "two rounds at least"
+    assert results["fit"]["solves"] in range(2 * 512, 13 * 512, 512), "two rounds at least, twelve at most"
     for row in results["rows"]:
         per_second = 1.0 / (row["evaluation_s"] * row["autocorrelation_time"])  # medians in another order
         assert row["effective_per_s"] == pytest.approx(per_second, rel=1e-6)

@@ -9,11 +9,12 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from cpam_bayes import __version__
+from cpam_bayes.answer import Notice
 from cpam_bayes.batches.plate_row import PlateRow
 from cpam_bayes.command import Command, option
 from cpam_bayes.errors import checked
 from cpam_bayes.formatting import listed, with_spread
-from cpam_bayes.plate import PlateLike, to_user, unit_of, user_name
+from cpam_bayes.plate import PlateLike, read_plate, to_user, unit_of, user_name
 from cpam_bayes.questions.batch import batch
 from cpam_bayes.questions.batch.result import probability_text
 from cpam_bayes.questions.batch.verdicts import slip_question
@@ -70,7 +71,7 @@ def compare(a: PlateLike, b: PlateLike, *, seed: int = 0, watch: Watch = SILENT)
 
     Each plate has the normal posterior of `batch`, errors of sizes included. The two are taken as
     independent: an error common to both, such as the scale of one analyser, is in their intervals and not in
-    their difference.
+    their difference. A plate whose prior is the posterior of an earlier plate gets a notice.
 
     Parameters
     ----------
@@ -101,7 +102,15 @@ def compare(a: PlateLike, b: PlateLike, *, seed: int = 0, watch: Watch = SILENT)
     }
     if not differences:
         raise ValueError(f"compare: {first.name} and {second.name} have no unknown constant in common")
-    return CompareResult(seed=seed, notices=both.notices, rows=(first, second), differences=differences)
+    notices = (*both.notices, *_with_former_plate(a, b))
+    return CompareResult(seed=seed, notices=notices, rows=(first, second), differences=differences)
+
+
+def _with_former_plate(*plates: PlateLike) -> tuple[Notice, ...]:
+    """Notice of plates whose prior is the posterior of an earlier plate, perhaps of the other one."""
+    read = [read_plate(plate) for plate in plates]
+    names = tuple(s.name for s in read if any(p.coupled is not None for p in s.unknowns.parameters))
+    return (Notice("prior_of_former_plate", facts={"plates": names}),) if names else ()
 
 
 def _difference(name: str, first: PlateRow, second: PlateRow, rng: np.random.Generator) -> Difference:

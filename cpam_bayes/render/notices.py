@@ -672,6 +672,11 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "mixed_materials": (
         "The plates are of several materials: means and control limits are those of a mixture."
     ),
+    "prior_of_former_plate": (
+        "The prior of {plates:all} is the posterior of an earlier plate. If that is the plate compared with, "
+        "the two are not independent and their difference is underestimated: compare with "
+        "material.posterior left out."
+    ),
     "disagreeing_plates": _disagreeing_plates,
     "undescribed_plates": _undescribed_plates,
     "no_population": _no_population,

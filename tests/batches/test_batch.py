@@ -22,6 +22,7 @@ from cpam_bayes.questions.batch.verdicts import why_not_judged
 from tests.batches.plates import N_MODES, exact, plate, with_noise, written
 from tests.hybrids import hybrid
 from tests.plate_file import refused
+from tests.posteriors import write_posterior
 
 
 def measured(c_mm, g_mm, **plate):
@@ -468,10 +469,8 @@ def test_a_stiffer_plate_is_larger_by_its_ratio():
     assert (e1.differs, nu12.differs) == (True, False)
     assert "b differs from a in E1 by +" in found.report().summary.headline
     # E1 scales with f^2 / h^2 for a stated density, with f^2 / h^3 for a stated mass
-    assert (
-        "1 % error in thickness changes all moduli by 2 %, by 3 % if weighed"
-        in found.report().summary.next_step
-    )
+    next_step = found.report().summary.next_step
+    assert "1 % error in thickness changes all moduli by 2 %, by 3 % if weighed" in next_step
     keys = {"percent": e1.percent, "sd_percent": e1.sd_percent, "probability_larger": e1.probability_larger}
     assert found.to_dict()["differences"]["E1_GPa"] == keys | {"determined": True}
 
@@ -486,6 +485,16 @@ def test_a_plate_does_not_differ_from_itself_and_the_order_turns_the_sign():
     there, back = (cb.compare(*pair).differences["E1"] for pair in ((a, b), (b, a)))
     assert there.probability_larger + back.probability_larger == pytest.approx(1.0, abs=0.01)
     assert (1.0 + 0.01 * there.percent) * (1.0 + 0.01 * back.percent) == pytest.approx(1.0, abs=2e-3)
+
+
+def test_a_prior_that_may_be_the_posterior_of_the_other_plate_is_said(tmp_path):
+    first = plate("first")
+    second = with_noise(plate("second"), np.random.default_rng(6))
+    assert not cb.compare(first, second).warnings
+    draws = {"E1_GPa": np.linspace(66.0, 74.0, 200)}
+    second["material"]["posterior"] = str(write_posterior(tmp_path / "posterior.nc", draws))
+    (said,) = cb.compare(first, second).warnings
+    assert said.startswith("The prior of second is the posterior of an earlier plate.")
 
 
 def test_the_command_prints_the_keys_of_the_contract(run):

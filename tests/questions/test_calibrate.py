@@ -16,7 +16,6 @@ WELL = (True, True, 1.0, 5.0, 200.0, 400)  # diagnostics of chains and model for
 def made_up(ranks):
     below = [tuple((r + 0.5) / (N_DRAWS + 1)) for r in ranks]
     pairs = enumerate(zip(ranks, below, strict=True))
-    pairs = enumerate(zip(ranks, below, strict=True))
     found = tuple(Repetition(i, (1.0, 1.0), tuple(r), b, *WELL) for i, (r, b) in pairs)
     statistics = rank_statistics(ranks, N_DRAWS + 1, np.random.default_rng(0))
     constants = tuple(_constants(("E1", "nu12"), np.array(below), statistics))

@@ -72,7 +72,7 @@ FACTS: dict[str, dict[str, object]] = {
     "noise_swarms": {**PLACE, "count": 2, "of": 10}, "noise_redrawn": {**PLACE, "count": 3},
     "unconverged_tasks": {"titles": ("C1",)}, "tasks_of_one_swarm": {"titles": ("C1",)},
     "failed_plates": {"count": 1}, "list_over_noise": {"plate": "C1", "times": 3.2},
-    "disagreeing_plates": {"plates": tuple("abcdefg")},
+    "prior_of_former_plate": {"plates": ("a",)}, "disagreeing_plates": {"plates": tuple("abcdefg")},
     "undescribed_plates": {"plates": tuple((f"p{i}", 3.0) for i in range(10))},
     "no_population": {"reason": "two plates are needed"},
     "population_chains": {"steps": 20, "r_hat": 1.2, "ess_bulk": 12.0},
