@@ -78,7 +78,8 @@ class Lockstep:
     def __init__(self, batched: Callable[[Array], Array], size: int) -> None:
         self.batched, self.size = batched, size
         self.local = threading.local()
-        self.turn = threading.Condition()
+        self.turn = threading.Lock()
+        self.gates: list[threading.Lock] = []  # one a task, opened by its answer
         self.questions: dict[int, Array] = {}
         self.answers: dict[int, float | Exception] = {}
         self.running = 0
@@ -91,8 +92,8 @@ class Lockstep:
         with self.turn:
             self.questions[task] = point
             self._answer_if_all_asked()
-            self.turn.wait_for(lambda: task in self.answers)
-            answer = self.answers.pop(task)
+        self.gates[task].acquire()
+        answer = self.answers.pop(task)
         if isinstance(answer, Exception):
             raise answer
         return answer
@@ -121,6 +122,9 @@ class Lockstep:
                     self._answer_if_all_asked()
 
         self.running = len(arguments)
+        self.gates = [threading.Lock() for _ in arguments]
+        for gate in self.gates:
+            gate.acquire()
         threads = [threading.Thread(target=run, args=(i,)) for i in range(len(arguments))]
         for thread in threads:
             thread.start()
@@ -139,4 +143,5 @@ class Lockstep:
                 values = [failure] * len(tasks)
             self.answers.update(zip(tasks, values, strict=True))
             self.questions.clear()
-            self.turn.notify_all()
+            for task in tasks:
+                self.gates[task].release()
