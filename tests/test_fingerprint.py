@@ -14,7 +14,6 @@ def test_the_sources_of_a_result_are_those_it_imports_at_any_depth():
     found, asked = ({file.relative_to(package).as_posix() for file in sources_of([n], [])} for n in names)
     assert {"forward_model/build.py", "mechanics/affine.py", "plate/laminate.py"} <= found
     assert "diagnosis/models.py" not in found
-    # the look is no part of it
     assert not any(name.startswith(("render/", "cli", "command")) for name in asked)
     result = cb.plates()
     assert result.to_dict()["fingerprint"] == fingerprint(type(result).__module__)

@@ -96,7 +96,6 @@ def test_emcee_ends_after_a_round_and_goes_on_from_the_store(tmp_path):
         cut = cb.sample("A1", seed=0, store=tmp_path, settings=EnsembleSettings(round_steps=20))
     assert (cut.reached_goal, left_out(cut)["cut_chains"]) == (False, {"done": 20, "of": 10000})
     assert list(tmp_path.glob("*"))
-    # interrupted chains count as determining nothing
     assert {c.verdict for c in (*cut.constants.values(), *cut.sizes.values())} == {Verdict.UNCONVERGED}
     said, headline = cut.report().summary, "The chains did not converge: do not use this answer."
     assert (said.headline, said.next_step) == (headline, "allow more time: --time-limit S.")

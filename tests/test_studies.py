@@ -118,7 +118,6 @@ def test_edges_are_reduced_by_the_symmetry_of_the_plate_and_navier_is_the_thin_p
 
 
 def test_an_answer_has_its_verdict():
-    # the cause, the claim, and the causes named
     verdicts = {"none none": "right", "none other": "wrong", "none named warp": "wrong", "warp none": "calm"}
     verdicts |= {"warp named warp": "right", "warp named skew": "wrong", "warp other": "other"}
     verdicts |= {"warp class warp skew": "right as a class", "warp class taper_x skew": "wrong"}

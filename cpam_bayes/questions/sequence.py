@@ -260,7 +260,7 @@ def stacking_result(
     return StackingResult(
         seed=seed,
         notices=(
-            *_slips(specimen, fit, constants),
+            *_slips(specimen, fit, constants, explained=explained),
             *stacking_notices(answer, mixture, fit),
             *exchange_notices(specimen),
         ),
@@ -287,7 +287,9 @@ def _reliances(answer: StackingPosterior, mixture: StackingMixture) -> tuple[Rel
     return reliances(names, covariance, np.array([parameters[name].prior.sd for name in names]))
 
 
-def _slips(specimen: Specimen, fit: BestFit, constants: tuple[Constant, ...]) -> tuple[Notice, ...]:
+def _slips(
+    specimen: Specimen, fit: BestFit, constants: tuple[Constant, ...], *, explained: bool
+) -> tuple[Notice, ...]:
     residual = np.asarray(fit.residual)[np.isfinite(fit.residual)]
     misfit = float(np.sqrt(np.mean(residual**2))) if residual.size else 0.0
     measurement = specimen.measurement
@@ -295,7 +297,7 @@ def _slips(specimen: Specimen, fit: BestFit, constants: tuple[Constant, ...]) ->
     return (
         *stated_slips(specimen),
         *count_slips(measurement.size, specimen.unknowns.size),
-        *reference_contradictions(specimen, {}, constants),
+        *(reference_contradictions(specimen, {}, constants) if explained else ()),
         *misfit_slips(misfit),
         *reference_slips(specimen),
     )
@@ -332,7 +334,7 @@ def _present(result: StackingResult) -> Report:
     errors = result.scale_errors
     return Report(
         summary=result.screen(
-            headline=_headline(every[0]),
+            headline=_headline(result, every[0]),
             tables=(
                 constants_table(constants),
                 Rows("sequences", FIRST_SCREEN, every[:_SHOWN]).table("Most probable layups"),
@@ -340,7 +342,9 @@ def _present(result: StackingResult) -> Report:
             lines=(
                 _credible(answer),
                 _fit(result),
-                intervals_sentence(
+                _OF_NO_LAYUP
+                if _contradicted(result)
+                else intervals_sentence(
                     result.specimen.plate,
                     errors,
                     told,
@@ -390,11 +394,21 @@ def _present(result: StackingResult) -> Report:
     )
 
 
-def _headline(first: ListedSequence) -> str:
-    """The most probable layup with its probability."""
+_OF_NO_LAYUP: Final = "The constants are those of a layup that does not fit: do not use them."
+
+
+def _contradicted(result: StackingResult) -> bool:
+    """Whether no layup on the grid explains the frequencies."""
+    return any(notice.code in ("no_sequence_explains", "sequence_noise") for notice in result.notices)
+
+
+def _headline(result: StackingResult, first: ListedSequence) -> str:
+    """The most probable layup with its probability, unless none explains the frequencies."""
     equal = int(first.answer.multiplicity[first.i]) - 1
     other = "another layup" if equal == 1 else f"one of {equal} layups"
     others = f", or {other} with the same frequencies" if equal else ""
+    if _contradicted(result):
+        return f"No layup on the grid explains the frequencies; the most probable is {first.angles}{others}."
     if first.together >= _SURE:
         return f"Probability {first.together:.3g}: the unknown angles are {first.angles}{others}."
     return (
@@ -405,7 +419,10 @@ def _headline(first: ListedSequence) -> str:
 
 def _credible(answer: StackingPosterior) -> str:
     verb = "holds" if answer.credible_count == 1 else "hold"
-    return f"{answer.credible_count} of {answer.enumerated} sequences {verb} 95 % of the probability."
+    return (
+        f"{answer.credible_count} of the {answer.enumerated} layups on the grid of "
+        f"{answer.specimen.angle_grid_deg:g} degrees {verb} 95 % of the probability; no other is considered."
+    )
 
 
 def _fit(result: StackingResult) -> str:
@@ -422,6 +439,8 @@ def _fit(result: StackingResult) -> str:
 def _next_step(result: StackingResult, first: ListedSequence) -> str:
     for step in mismatch_step(result.specimen, result.notices):
         return step
+    if any(notice.code == "few_frequencies" for notice in result.notices):
+        return "measure more modes: bounds and the grid of angles decide this layup."
     if first.together < _SURE:
         return 'write known angles instead of "?", bound the constants, or measure more modes.'
     return (

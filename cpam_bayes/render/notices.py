@@ -363,8 +363,11 @@ def _list_over_noise(facts: Facts) -> str:
 
 
 def _check_layup(facts: Facts) -> str:
-    missing = "A mode may be missing from the list. " if facts["complete"] else ""
-    return f"{missing}Check the list, the plate and the bounds, or `diagnose` a layup that you trust."
+    missing = ", or a mode may be missing from the list" if facts["complete"] else ""
+    return (
+        f"The true layup may lie off the grid of angles{missing}. Check the list, the plate and the bounds, "
+        "or `diagnose` a layup that you trust."
+    )
 
 
 def _sequence_at_bounds(facts: Facts) -> str:
@@ -744,6 +747,7 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "cut_next_tests": "no further tests were ranked",
     "cut_groups": "{done} of {of} groups of noisy lists were inverted",
     "cut_plates": "{late} of {of} plates were not computed",
+    "cut_tasks": "the rows of {late} of {of} computations are left out; the same command resumes there",
     "cut_sequences": "the constants of {done} of {of} sequences were sampled by emcee",
     "cut_rounds": "the probabilities of sequences are those of an earlier round",
 }

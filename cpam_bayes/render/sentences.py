@@ -495,8 +495,9 @@ def mismatch_step(
         return ()
     edges = f"the edges ({edges_text(specimen.plate.edges)})"
     layup = () if specimen.material.isotropic else ("the layup",)
+    grid = ("the grid of angles",) if specimen.plate.layup.n_unknown else ()
     named = ("the labels",) if any(labels) else ()
-    what = listed([*named, edges, *layup, "the order and completeness of the list"], "and")
+    what = listed([*named, edges, *layup, *grid, "the order and completeness of the list"], "and")
     return (f"check {what}: these frequencies contradict the plate model.",)
 
 

@@ -306,7 +306,6 @@ def test_predicted_modes_written_as_a_universal_file_are_read_back_as_their_own(
     # frequencies are written with six digits
     np.testing.assert_allclose(result.specimen.measurement.frequencies, computed.frequencies, rtol=1e-5)
     assert result.by_shape.modes.tolist() == [0, 1, 2, 3, 4]
-    # the plate is recomputed with more modes, on a space converged for them
     np.testing.assert_allclose(np.diag(result.by_shape.assurance), 1.0, atol=1e-5)
     document = result.to_dict()
     assert [one["label"] for one in document["shapes"]] == [m.label for m in computed.modes]

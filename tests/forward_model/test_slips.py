@@ -91,7 +91,6 @@ def test_nearly_equal_lists_are_one_measurement(apart: float, found: int) -> Non
     second = replace(scaled(first, 1.0 + apart), name="A1 again")
     slips = preconditions.equal_list_slips([first, second])
     assert [slip.facts["plates"] for slip in slips] == [("A1", "A1 again")] * found
-    # lists of different length belong to different plates
     five = scaled(first, 1.0, frequencies=first.measurement.frequencies[:5], labels=("",) * 5)
     assert preconditions.equal_list_slips([first, five]) == ()
 
@@ -123,7 +122,6 @@ def test_a_mass_and_a_density_that_are_not_those_of_the_thickness_are_a_slip() -
     plate = panel(1480.0).plate
     weight = sd**2 / (sd**2 + 0.02**2)
     assert plate.thickness == pytest.approx(1e-3 * (weight * 3.1 + (1 - weight) * by_mass), rel=1e-4)
-    # the value used allows for both
     assert plate.sd["thickness"] == pytest.approx(0.02e-3 * np.sqrt(weight) * apart, rel=2e-3)
     assert preconditions.stated_slips(panel(1555.0)) == ()
     assert panel(1555.0).plate.sd["thickness"] < 0.02e-3

@@ -374,7 +374,6 @@ def test_constants_of_a_model_that_misfits_the_stated_noise_are_not_determined()
     assert {c.verdict for c in point.constants} <= {Verdict.MISFIT, Verdict.PRIOR}
     assert point.constants[0].verdict is Verdict.MISFIT
     assert "determine none of the constants" in result.summary()
-    # whatever is stated, the misfit determines the width of the intervals
     for stated, from_misfit in zip(point.constants, inferred.estimate.constants, strict=True):
         assert 0.5 < stated.sd / from_misfit.sd < 2.0
 

@@ -24,7 +24,6 @@ def test_combinations_have_prior_over_noise_along_the_axes_of_the_covariance_and
     found = assessment.combinations(plate_posterior(LinearModel(), data, np.zeros(4)), X, ONE_TO_ONE)
     _, covariance = exact_gaussian(data)
     expected = PRIOR_SD / np.sqrt(np.linalg.eigvalsh(covariance))
-    # a frequency without a mode does not count
     spurious = Measurement(np.insert(data.frequencies, 2, 250.0), 0.0, 0.01, None, ("",) * 5, complete=False)
     pairing = Pairing(np.array([0, 1, -1, 2, 3]), np.empty(0, dtype=int), 0.0)
     also = assessment.combinations(plate_posterior(LinearModel(), spurious, np.zeros(4)), X, pairing)

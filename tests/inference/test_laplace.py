@@ -215,7 +215,6 @@ def test_bounded_least_squares_ends_where_an_independent_program_does_and_outsid
     assert verified
     np.testing.assert_array_equal(u, found.u[0])
 
-    # a start outside the support stays there and does not converge
     def holed(u: np.ndarray, rows: np.ndarray) -> Expansion:
         found = least_squares(u, rows)
         return Expansion(np.where(u[:, 0] > 0.5, -np.inf, found.value), found.gradient, found.curvature)

@@ -117,7 +117,6 @@ def test_infeasible_particles_are_never_evaluated_and_values_that_are_not_finite
     assert len(calls) <= result.iterations + 1
     assert result.evaluations < 40 * (result.iterations + 1)
     assert_allclose(result.value, 0.5, atol=1e-3)  # the minimum of x^2 + y^2 on x + y = 1
-    # non-finite values are penalised
     result = search(lambda x: np.where(x > 0.5, np.nan, np.where(x < 0.2, -np.inf, x))[:, 0], [0.0], [1.0])
     assert 0.2 <= result.value < 0.2001
     assert result.evaluations == 40 * (result.iterations + 1)

@@ -40,7 +40,6 @@ def _started(directory, path, *words):
 
 
 def _scheduler(directory):
-    # the operating system finds a port, and the scheduler writes it down
     return _started(directory, [], "scheduler", "--port", "0", "--scheduler-file", str(directory / "address"))
 
 

@@ -59,7 +59,6 @@ SPOILT = [  # (entry in the good file, its replacement, the key, text in the mes
     ("[environment]\nair_density_kg_m3 = 1.2", "[[environment]]", "environment", "a table"),
     ("E2_GPa = [5, 40]", "E2_GPa = [5, 40, 50]", "unknowns.E2_GPa", "wrong length"),
     ("E2_GPa = [5, 40]", "E2_GPa = {}", None, "missing"),
-    # values that are no numbers, and impossible sizes
     ("length_mm = 260.0", "length_mm = nan", "plate.length_mm", "not a finite number"),
     ("thickness_mm = 3.2", "thickness_mm = -3.2", "plate.thickness_mm", "above 0, in mm"),
     ("thickness_mm = 3.2", "thickness_mm = 1e-300", "plate.thickness_mm", "out of range"),

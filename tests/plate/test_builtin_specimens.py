@@ -105,7 +105,6 @@ def test_sequence_takes_the_unknown_angles_of_table_9b(name):
         assert layup.angles_deg[6:-6].tolist() == known.angles_deg[6:-6].tolist()
     else:
         assert layup.unknown_index.min() == 0
-    # the true angles give back the known layup
     assert layup.angles(known.angles_deg[:expected]).tolist() == known.angles_deg.tolist()
 
 

@@ -280,7 +280,6 @@ def test_left_out_constants_follow_eq_6_and_11_or_the_in_plane_one_given_ones_st
     metal = complete_constants({"E1": 69e9, "nu12": 0.33}, "isotropic")
     assert metal["E2"] == 69e9
     assert metal["G12"] == metal["G13"] == metal["G23"] == pytest.approx(25.94e9, abs=0.005e9)  # eq. (11)
-    # missing and unknown ones
     for names, symmetry in (("E1 nu12 E2", "isotropic"), ("E1", "isotropic"), ("E1 E2 nu12", "orthotropic")):
         with pytest.raises(ValueError, match="required"):
             complete_constants(dict.fromkeys(names.split(), 0.3), symmetry)

@@ -166,7 +166,6 @@ def test_no_other_module_decides_by_a_letter() -> None:
     """A new condition is a row of the table: elsewhere its properties are used."""
     package = Path(cpam_bayes.__file__).parent
     sources = {path.relative_to(package): path.read_text("utf-8") for path in package.rglob("*.py")}
-    # the plates for tests of a diagnosis are a model of their own
     sources = {path: text for path, text in sources.items() if "validation" not in path.parts}
     decides = re.compile(r"""[=!]= "[FSC]"|"[FSC]+" (not )?in [\w.]*edges|[=!]= "[FSC]{4}\"""")
     assert [str(path) for path, text in sources.items() if decides.search(text)] == []

@@ -77,7 +77,6 @@ def test_a_swarm_that_misses_the_minimum_by_more_than_it_leaves_is_started_anew(
     monkeypatch.setattr(noise_tasks, "minimise", elsewhere(99))
     found = inversion(shared, 0.01, "rms", 0)
     assert (found.swarms, found.missed) == (5, True), "a minimum that no swarm finds"
-    # indistinguishable values
     f = np.array([300.0, 400.0])  # norm 500 Hz, so sqrt(F) may differ by 0.25 Hz
     for value, other in ((0.06, 0.0), (100.0, 100.0), (1.0, 100.0)):
         assert noise_tasks.equally_good(value, other, f)

@@ -8,6 +8,7 @@ import pytest
 import xarray
 from scipy.stats import chi2
 
+from cpam_bayes.answer import Notice
 from cpam_bayes.inference.sampling import command_of_draws
 from cpam_bayes.questions.identify.pso import identify
 from cpam_bayes.questions.sequence import stacking_result
@@ -72,7 +73,7 @@ def test_the_document_has_what_the_contract_names_and_the_first_screen_its_answe
     assert sequences.rows[0] == ("1", "-30/60", f"{together:.3g}", str(own.multiplicity[0] - 1))
     assert summary.headline.startswith(f"Probability {together:.2g}")
     assert "-30/60, or another layup" in summary.headline
-    assert f"{own.credible_count} of 36 sequences" in summary.lines[0]
+    assert f"{own.credible_count} of the 36 layups on the grid of 30 degrees" in summary.lines[0]
     assert work(result)["constants"].startswith("emcee on the first 3 of the list")
     (said,) = tables(result)["Outer and inner plies"].rows
     assert said[0].startswith("outer angles are better determined than inner ones")
@@ -121,10 +122,14 @@ def test_a_list_that_lacks_a_mode_is_paired_and_of_one_that_no_sequence_explains
     off = specimen().measurement.frequencies * (1.0 + 0.03 * np.array(3 * [1.0, -1.0]))  # explained by none
     found = of_list(off, relative_std=2e-3)
     wrong, right = (stacking_result(each, mixture(), None, 0, 5) for each in (found, answer()))
-    (slip,) = (notice for notice in wrong.notices if notice.code == "no_sequence_explains")
-    assert slip.severity == "slip"
-    assert wrong.report().summary.next_step.startswith("check the edges")
-    assert "check the edges" not in right.report().summary.next_step
+    assert [n.severity for n in wrong.notices if n.code == "no_sequence_explains"] == ["slip"]
+    of_wrong, of_right = (each.report().summary for each in (wrong, right))
+    checked = "check the edges (free on all four edges), the layup, the grid of angles and the order"
+    assert [each.next_step.startswith(checked) for each in (of_wrong, of_right)] == [True, False]
+    assert of_wrong.headline.startswith("No layup on the grid explains the frequencies")
+    assert ["do not use them" in each.lines[-1] for each in (of_wrong, of_right)] == [True, False]
+    short = replace(right, notices=(Notice("few_frequencies", "slip", {"frequencies": 1, "unknowns": 4}),))
+    assert short.report().summary.next_step.startswith("measure more modes: bounds and the grid")
 
 
 def test_what_failed_disagrees_was_learned_badly_or_overlooked_is_warned_of():

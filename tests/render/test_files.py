@@ -82,7 +82,6 @@ def test_the_page_of_another_command_is_kept_under_its_name(tmp_path, forward_re
     (note,) = saved(forward_result, tmp_path)
     assert note == f"{page} is now from forward; that from plates is kept as plates_page.html"
     assert (command_of(page), (tmp_path / "plates_page.html").read_text("utf-8")) == ("forward", first)
-    # the page of a command is always at the same place
     assert (len(saved(RESULT, tmp_path)), command_of(page)) == (1, "plates")
     assert {path.name for path in tmp_path.glob("*.html")} == {PAGE, "forward_page.html"}
     page.write_text("<title>coverage</title>")

@@ -91,7 +91,7 @@ FACTS: dict[str, dict[str, object]] = {
     "cut_swarm": {"done": 0, "of": 400}, "cut_swarms": {"done": 1, "of": 3},
     "cut_chains": {"done": 20, "of": 1000}, "cut_hypotheses": {"count": 2, "causes": ("air", "support")},
     "cut_groups": {"done": 2, "of": 4}, "cut_plates": {"late": 2, "of": 3},
-    "cut_sequences": {"done": 2, "of": 20},
+    "cut_tasks": {"late": 2, "of": 3}, "cut_sequences": {"done": 2, "of": 20},
 }  # fmt: skip
 
 
@@ -120,7 +120,6 @@ def test_numbers_and_cures_are_in_the_sentences_of_which_each_is_told_once():
         assert all(part in sentence for part in said)
     both = Notice("sizes_exact", facts={"names": ("thickness", "length")})
     assert "thickness_mm and length_mm are assumed exact here: their stated" in sentence_of(both)
-    # equal ones appear once, and remarks are no warnings
     few, other = Notice("failed_plates", facts={"count": 1}), Notice("mixed_materials", "remark")
     assert each_once((few, other, Notice("failed_plates", facts={"count": 1}))) == (few, other)
     assert sentences((few, other, few), "slip", "warning") == (sentence_of(few),)

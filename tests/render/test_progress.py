@@ -78,7 +78,6 @@ def test_what_takes_above_a_minute_is_said_once_as_soon_as_it_is_known(monkeypat
     lines = capsys.readouterr().err.splitlines()
     told = [i for i, line in enumerate(lines) if line.startswith("this part")]
     assert [lines[i] for i in told] == said
-    # after four iterations
     assert all(lines[i - 1].startswith("identify C1: iteration 2 of 20") for i in told)
     assert any("left" in line for line in lines) == (seconds > 1.0)
     if said:
@@ -100,7 +99,6 @@ def test_items_that_are_shared_out_and_a_stage_of_items_say_their_time_once(monk
     with forecasting():
         announce("two by two", False)
         assert run(doubled, None, range(30)) == list(range(0, 60, 2))
-    # work that an item distributes itself does not read the clock
     assert expected(capsys) == [("two by two", "this part takes about 10 min")]
     run(doubled, None, range(30))
     assert not expected(capsys)

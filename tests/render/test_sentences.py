@@ -91,7 +91,6 @@ def test_intervals_name_what_they_contain_and_the_largest_error_that_they_do_not
     assert "thickness" in intervals_sentence(specimen.plate, (), ["E1"], found=["thickness"])
     (step,) = sentences.gauge_step(specimen, errors, ["E1"])
     assert step.endswith("thickness and density are known: gauge and weigh the plate.")
-    # the file's own statements are not asked for
     for name, left in (("density", "thickness is known: gauge"), ("thickness", "density is known: weigh")):
         known = replace(specimen.plate, sd={name: 1e-5})
         (step,) = sentences.gauge_step(replace(specimen, plate=known), errors, ["E1"])

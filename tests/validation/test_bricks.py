@@ -105,7 +105,6 @@ def test_a_file_of_a_case_is_its_plate_with_its_noise(name: str) -> None:
     assert saved == plate_file(case, listed_frequencies(case, np.array(truth["bricks_hz"])))
     assert (truth["cause"], tuple(truth["constants"][k] for k in CONSTANTS)) == (case.cause, case.constants)
     assert cb.read_plate(str(BRICKS / f"{name}.toml")).name == name
-    # the file reveals nothing of the truth
     assert set(plate_of(case)) == {"name", "plate", "material", "unknowns"}
     assert case.reference != case.constants
 

@@ -34,7 +34,6 @@ def test_saved_results_come_back_and_cases_that_were_not_run_again_stay_in_order
     both = with_saved(new, path, ("C1", "D1", "D3"))
     assert both == {"seeds": 20, "cases": kept, "cost": [{"case": "D1", "s": 4}]}
     assert new["cases"] == [{"case": "D1", "x": 7}, {"case": "C1", "x": 8}], "left as they are"
-    # a case may have another name
     save_results(path, {"groups": [{"plates": ["C1", "C2"]}, {"plates": ["C1"], "p": 1}]})
     groups = {"groups": [{"plates": ["C1"], "p": 2}]}
     both = with_saved(groups, path, [("C1",), ("C1", "C2")], lambda g: tuple(g["plates"]))
@@ -63,7 +62,6 @@ def test_a_list_is_a_plate_file_that_says_what_the_truth_says(tapered: tuple[str
     read = cb.read_plate(tomllib.loads(tapered[0]))
     assert read.measurement.relative_std is None
     assert set(read.material.sd) == set(tapered[1].constants)
-    # 0.2 % of noise and the rounding to 0.1 Hz
     np.testing.assert_allclose(read.measurement.frequencies, tapered[1].true_hz, rtol=0.011)
 
 
@@ -297,7 +295,6 @@ def test_a_statistic_is_how_much_better_than_nothing_a_method_is_for_its_number_
     for causes, free in ((alike, 1), (alike[:2], 2), (alike[:1], 3)):
         seen = replace(SEEN, atoms=dict.fromkeys(causes, 9 * FIRST))
         assert references._criterion(seen) == ([causes[-1]], pytest.approx(81.0 - free * np.log(8.0)))
-        # the first of those with equal likelihood
         assert references._likelihood_ratio(seen)[1] == pytest.approx(81.0 / 7.8147, rel=1e-4)
 
 

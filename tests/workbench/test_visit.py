@@ -89,7 +89,6 @@ def test_a_plate_is_typed_its_list_pasted_and_the_constants_are_those_of_the_com
         browser.value(f"document.querySelector('[data-paste]').value = {pasted}")
         click(browser, "[data-take]")
         there(browser, "#answer .headline")
-        # text typed just before the form is redrawn is kept
         assert browser.value("""document.querySelector("[data-key='plate.length_mm']").value""") == "300"
         click(browser, "[data-act=save]")
         browser.until("document.getElementById('said').textContent.startsWith('saved as')")

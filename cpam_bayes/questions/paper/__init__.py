@@ -79,8 +79,8 @@ from cpam_bayes.questions.paper.work import (
 )
 from cpam_bayes.render.report import Report, csv_text, plain
 from cpam_bayes.render.terminal import duration
-from cpam_bayes.result import Result, present
-from cpam_bayes.running import SILENT, TimeIsUpError, Watch
+from cpam_bayes.result import Result, present, within_time
+from cpam_bayes.running import SILENT, TimeIsUpError, Watch, cut_short
 from cpam_bayes.storage import cache_directory
 
 __all__ = ["PaperResult", "compared", "computations", "paper", "tasks_of"]
@@ -174,6 +174,7 @@ def _present(result: PaperResult) -> Report:
 
 
 @checked
+@within_time
 def paper(
     number: int | None = None,
     *,
@@ -187,17 +188,17 @@ def paper(
 ) -> PaperResult:
     """Printed values of the paper's tables beside computed ones, with a verdict on each.
 
-    The computations come with the package, with version and date. New ones are stored as they finish, and the
-    same call resumes from there.
+    The computations come with the package, with version and date. Others, and all with ``everything``, are
+    stored as they finish, and the same call resumes from there.
 
     Parameters
     ----------
     number : of one table, 1 to 14; all if left out
     quick : a small demonstration: one small swarm for each plate, linearised intervals, three groups of
         perturbed lists, no finite elements, no joint search of angles and constants
-    everything : recompute what is stored or packaged, which takes hours
+    everything : compute what comes with the package anew, which takes hours
     executor, workers : as for `cb.sequence`
-    store : directory of finished computations; in the cache if left out
+    store : directory of computations that this code has finished; in the cache if left out
     watch : progress display; none if left out
 
     Raises
@@ -221,9 +222,8 @@ def paper(
     directory = cache_directory() / "paper" if store is None else Path(store)
 
     def known(task: Task) -> Results | None:
-        if everything:
-            return None
-        return read(directory, effort, task) or (comes_with_the_package(task) if effort.full else None)
+        packaged_too = effort.full and not everything
+        return (comes_with_the_package(task) if packaged_too else None) or read(directory, effort, task)
 
     slow = _slow(numbers) if everything and not quick else {}
     for name, plates in slow.items():
@@ -293,7 +293,7 @@ def computations(
     workers: int | None = None,
     watch: Watch = SILENT,
 ) -> dict[Task, Results]:
-    """Results of all tasks of some tables; unknown ones are computed and stored."""
+    """Results of all tasks of some tables; unknown ones are computed and stored, as long as there is time."""
     wanted = dict.fromkeys(task for n in reversed(numbers) for task in tasks_of(n, seed))
     tasks = sorted((t for t in wanted if effort.full or t.kind not in OF_FULL_EFFORT), key=_turn)
     computed = {task: results for task in tasks if (results := known(task)) is not None}
@@ -317,7 +317,9 @@ def computations(
         try:
             run(work, effort, missing, pool, batch_size=1, on_result=keep, is_limited=True)
         except TimeIsUpError as error:
-            raise TimeIsUpError(f"{error}; the same command resumes there") from error
+            if not computed:
+                raise TimeIsUpError(f"{error}; the same command resumes there") from error
+            cut_short("cut_tasks", late=len(tasks) - len(computed), of=len(tasks))
     return computed
 
 
@@ -565,8 +567,8 @@ COMMAND: Final = Command(
             "--all",
             "everything",
             action="store_true",
-            help="recompute stored and packaged results; says first how long it takes: hours for Table 9 and "
-            "for all tables",
+            help="compute what comes with the package anew; says first how long it takes: hours for Table 9 "
+            "and for all tables",
         ),
         option(
             "--store",

@@ -295,26 +295,29 @@ def _outer_and_inner(rows: Sequence[Row], key: str) -> tuple[float, float]:
 
 def _weighed_angles(rows: Sequence[Row]) -> str:
     """Sentence on the information of one list per level about the angles; "" where no layups were weighed."""
-    weighed = [row for row in rows if "bits_1" in row.details]
+    weighed, odd = _weighed(rows)
     if not weighed:
-        return ""
+        return odd.strip()
     outer, inner = _outer_and_inner(weighed, "bits_")
     true = max(row.details["true_probability"] or 0.0 for row in weighed)
     return (
         f"The first list of each level, over all layups, gives {outer:.2f} bits on the outermost angle and "
         f"{inner:.2f} on the innermost, of {weighed[0].details['most_bits']:.2f} "
-        f"({len(weighed)} lists; less on the innermost in {_less_of_the_innermost(weighed)}). The true layup "
-        f"has a probability of {true:.2g} at most.{_explained_by_none(weighed)}"
+        f"({len(weighed)} lists; less on the innermost in {_less_of_the_innermost(weighed)}). The plate's "
+        f"stated layup has a probability of {true:.2g} at most.{odd}"
     )
 
 
-def _explained_by_none(weighed: Sequence[Row]) -> str:
-    """Sentence on lists that no layup explains at their noise: their information is about another plate."""
+def _weighed(rows: Sequence[Row]) -> tuple[list[Row], str]:
+    """Rows whose list some layup explains, and a sentence on those that none explains at their noise.
+
+    The information of the latter is about another plate.
+    """
+    weighed = [row for row in rows if "bits_1" in row.details]
     odd = [row for row in weighed if (row.details["p_value"] or 0.0) < UNEXPLAINED]
-    if not odd:
-        return ""
     which = [f"{row.specimen} at {row.source} (p = {row.details['p_value']:.1g})" for row in odd]
-    return f" No layup explains the list of {listed(which, 'and')}, so it says nothing about this plate."
+    said = f" Left out: no layup explains the list of {listed(which, 'and')}." if odd else ""
+    return [row for row in weighed if row not in odd], said
 
 
 def _less_of_the_innermost(weighed: Sequence[Row]) -> int:
@@ -325,7 +328,7 @@ def _less_of_the_innermost(weighed: Sequence[Row]) -> int:
 def _inner_plies(rows: Sequence[Row]) -> str:
     """Sentence on whether inner plies are more sensitive to noise, by bits and by scatter."""
     more, uniform, sd = _inner_scatters_more(rows)
-    weighed = [row for row in rows if "bits_1" in row.details]
+    weighed, _ = _weighed(rows)
     by_bits = bool(weighed) and _chance_of(_less_of_the_innermost(weighed), len(weighed)) <= _CHANCE
     shown = _SHOWN[by_bits, more > uniform + _BEYOND_CHANCE * sd]
     is_few = bool(weighed) and _chance_of(len(weighed), len(weighed)) > _CHANCE

@@ -1,8 +1,8 @@
 """Tables 10 to 14: printed means of ten inversions of noisy lists beside ours, and what such means can show.
 
-A mean of ten agrees within two standard errors of the difference of two such means and 5 %; within the
-standard errors alone the two cannot be told apart. Where half or more of the ten are on a bound there is no
-standard error, and without a posterior interval either nothing is determined.
+A mean of ten agrees within two standard errors of the difference of two such means and 5 %, if that standard
+error is 5 % or less; within the standard errors alone the two cannot be told apart. Where half or more of the
+ten are on a bound there is no standard error, and without a posterior interval either nothing is determined.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from cpam_bayes.questions.paper.rows import (
     row_of,
 )
 
-# Means within the standard errors agree up to this difference, %.
+# Means agree up to this difference, %, if its standard error is no larger: else they would by chance.
 _MEAN_PERCENT: Final = 5.0
 # With at least this share of inversions on a bound their scatter says nothing about the noise.
 _STUCK: Final = 0.5
@@ -102,10 +102,14 @@ class Repetition:
         """Whether so many inversions are on a bound that there is no standard error."""
         return self.on_bound >= _STUCK
 
+    @property
+    def error(self) -> float:
+        """Standard error of the difference of the printed mean of ten and this one."""
+        return self.sd * math.sqrt(1.0 / self.groups + 1.0 / PRINTED_GROUPS)
+
     def standard_errors(self, printed: float) -> float:
-        """Distance from a printed mean of ten, in standard errors of the difference of two such means."""
-        error = self.sd * math.sqrt(1.0 / self.groups + 1.0 / PRINTED_GROUPS)
-        return abs(printed - self.mean) / error if error > 0.0 else math.inf
+        """Distance from a printed mean of ten, in standard errors of the difference."""
+        return abs(printed - self.mean) / self.error if self.error > 0.0 else math.inf
 
     def holds(self, printed: float, rounding: float) -> bool | None:
         """Whether the interval holds a printed value, up to its rounding; None without an interval."""
@@ -204,9 +208,10 @@ def _of_mean(printed: float, ours: Repetition, inside: bool | None) -> Judged:
     bound = f"{100.0 * ours.on_bound:.0f} % of ours sit on a bound, so that they have no standard error"
     outside = "outside the 95 % interval" if inside is False else ""
     if not ours.is_stuck and away <= STANDARD_ERRORS:
-        if off <= _MEAN_PERCENT:
+        error = 100.0 * ours.error / abs(ours.mean)
+        if off <= _MEAN_PERCENT and error <= _MEAN_PERCENT:
             return AGREES, outside
-        apart = f"{off:.0f} % apart, which is {away:.1f} standard errors"
+        apart = f"{off:.0f} % apart, with a standard error of {error:.0f} %"
         return UNTOLD, "; ".join(filter(None, (apart, outside)))
     if inside:
         return WITHIN, bound if ours.is_stuck else ""

@@ -433,7 +433,8 @@ def _lines(document: Record) -> Iterator[str]:
         "",
         "*Agrees*: a frequency to 0.5 % or half a unit of its last digit, an identified constant to 1 %, a "
         "mean of ten to two standard errors of the difference of two such means and to 5 %. *Cannot be told "
-        "apart*: within the standard errors, but more than 5 % apart. *Within the posterior*: in the 95 % "
+        "apart*: within the standard errors, but more than 5 % apart, or with a standard error above 5 %. "
+        "*Within the posterior*: in the 95 % "
         "interval up to half a unit of the last printed digit, or in the 95 % set of stacking sequences. "
         "Where half or more of the ten inversions sit on a bound there is no standard error. *Not "
         "determined*: there is neither a standard error nor an interval, or the angles found show no "

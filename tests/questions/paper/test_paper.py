@@ -21,7 +21,7 @@ from cpam_bayes.questions.paper.present import page, row_table
 from cpam_bayes.questions.paper.rows import AGREES, FOUR, INPUT, NOT_COMPUTED, NOT_REPRODUCIBLE, TWO, VERDICTS
 from cpam_bayes.questions.paper.work import case_specimen, frequency_scale, printed_rows, well_posed, write
 from cpam_bayes.render.report import csv_text
-from cpam_bayes.running import SILENT
+from cpam_bayes.running import SILENT, TimeIsUpError, time_limit
 from tests.answers import table_7
 from tests.plate_file import described
 from tests.plates import with_plate
@@ -65,10 +65,10 @@ def nothing_computed(monkeypatch):
 @pytest.mark.usefixtures("nothing_computed")
 def test_what_is_finished_is_not_computed_again_and_what_the_rest_takes_is_said_at_once(aluminium, tmp_path):
     result, store = aluminium
-    assert cb.paper(7, quick=True, store=store).rows == result.rows
-    for other in ({"seed": 1}, {"everything": True}):
-        with pytest.raises(AssertionError, match="computed"):
-            cb.paper(7, quick=True, store=store, **other)
+    for everything in (False, True):
+        assert cb.paper(7, quick=True, store=store, everything=everything).rows == result.rows
+    with pytest.raises(AssertionError, match="computed"):
+        cb.paper(7, quick=True, store=store, seed=1)
     for options, first in (  # the packaged Table 9 took 6 min 56 s; the small effort 78 s of CPU time
         ({"seed": 1}, "10 computations, about 7 min on one core; finished ones are kept"),
         ({"quick": True}, "10 computations, about 2 min on one core; finished ones are kept"),
@@ -82,9 +82,25 @@ def test_what_is_finished_is_not_computed_again_and_what_the_rest_takes_is_said_
         assert len(said) == 1 or "everything" in options
 
 
+def test_when_time_is_up_the_rows_of_what_is_done_are_answered(tmp_path, monkeypatch):
+    first = module.packaged("tasks")["tasks"]["constants D4, as built in"]
+
+    def one(work, effort, tasks, pool, on_result, **options):
+        on_result(0, first)
+        raise TimeIsUpError("late")
+
+    monkeypatch.setattr(module, "run", one)
+    with time_limit(9.0):
+        result = cb.paper(9, seed=1, store=tmp_path)
+    assert result.notices[0].facts["missing"] == (("cut_tasks", {"late": 9, "of": 10}),)
+    assert {row.specimen for row in result.rows if row.part == "a" and row.verdict != INPUT} == {"D4"}
+
+
 @pytest.mark.usefixtures("nothing_computed")
 def test_a_table_is_answered_from_what_comes_with_the_package(tmp_path, monkeypatch):
     asked: list[str] = []
+    for task in tasks_of(9, 0):
+        write(tmp_path, module.FULL, task, {"of": "another machine"})
     stored = module.comes_with_the_package
 
     def known(task):

@@ -60,6 +60,8 @@ OWN, PRINTED = "ours lies outside its own interval", "outside the 95 % interval"
         (68.0, 2.0, {"on_bound": 0.5}, WITHIN, set()),  # half of the ten at a bound: no standard error
         (50.0, 30.0, {"on_bound": 0.5}, NOT_REPRODUCIBLE, {PRINTED}),
         (60.0, 2.0, {"q025": 61.0}, WITHIN, {OWN}),
+        (68.0, 7.7, {}, UNTOLD, set()),  # standard error 5.06 %: agreement within 5 % would be by chance
+        (68.0, 7.5, {}, AGREES, set()),  # 4.93 %
     ],
 )
 def test_means_of_ten_agree_within_two_standard_errors_and_five_per_cent(mean, sd, e1, verdict, said):
@@ -114,11 +116,13 @@ def test_where_angles_are_sought_their_search_is_compared_with_the_interval_over
     assert (row.q025, row.q975, row.verdict) == (125.0, 129.0, WITHIN)
     assert (row.ours, row.details["posterior_mean"]) == (100.0, 127.0)
     assert "1 of 12 printed means" in means_of_ten(rows)  # one of E1 (127.6, 129.5, 132.65 GPa), no others
-    assert "No layup explains" not in noisy_angles(rows)  # a list that no layup explains is reported
-    first, *others = weighed[LAYUPS]["levels"]
-    weighed[LAYUPS]["levels"] = [{**first, "p_value": 3e-5}, *others]
+    bits = "1.50 bits on the outermost angle and 0.10 on the innermost, of 5.17"
+    assert f"{bits} (3 lists" in noisy_angles(rows)
+    first, *others = weighed[LAYUPS]["levels"]  # a list that no layup explains is left out
+    weighed[LAYUPS]["levels"] = [{**first, "p_value": 3e-5, "bits": [5.0] * 4}, *others]
     said = noisy_angles(rows_of(11, weighed))
-    assert "No layup explains the list of C1 at 1 % disorder (p = 3e-05), so it says nothing" in said
+    assert f"{bits} (2 lists" in said
+    assert "Left out: no layup explains the list of C1 at 1 % disorder (p = 3e-05)." in said
     without = rows_of(11, alone)
     assert "For C1 no interval over all layups" in means_of_ten(without)
     row = of(without, "E1_GPa")
