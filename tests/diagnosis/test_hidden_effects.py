@@ -99,7 +99,7 @@ SHOWN = (  # Causes that frequencies can show, at sizes and places off every gri
     Case("support", FREE, 34.0),
     # springs of pi^4 D / (2 c a^3), c = 0.037, along the four edges
     Case("soft_support", SUPPORTED, true=lambda p: {"shift": 0.037 * 2.0 / np.pi**4}),
-    Case("length", FREE, 0.0171, sets=True, marks=SLOW),
+    Case("length", FREE, 0.0171, sets=True),
     Case("width", FREE, -0.0233),
     Case("taper_x", FREE, -0.137),
     Case("taper_y", FREE, 0.163),

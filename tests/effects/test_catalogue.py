@@ -207,7 +207,6 @@ def test_what_leaves_a_plate_alike_is_no_effect_on_it():
         ("swapped_sides", replace(metal, edges="CFFF"), True),
         ("layup", oblong, True),
         *(("layup", of, False) for of in (metal, one_way, unknown)),
-        # only simple supports can be compliant
         *(("soft_support", replace(oblong, edges=e), "S" in e) for e in ("FFFF", "CFFF", "CFSF", "SSSS")),
     ):
         assert BY_NAME[name].applies_to(of) is applies, (name, of)

@@ -243,6 +243,7 @@ ONE_ANGLE = TEXT.replace('"[0_8]"', '"[?]"').replace("[unknowns]", "[unknowns]\n
 
 
 @pytest.mark.slow
+@pytest.mark.weekly
 def test_identify_sample_sequence_and_diagnose_print_the_same_constants():
     answers = {verb.__name__: verb(PANEL, seed=3) for verb in (cb.sample, cb.diagnose)}
     answers["sequence"] = cb.sequence(parse_specimen(ONE_ANGLE, "panel"), seed=3)

@@ -125,5 +125,5 @@ def test_a_scheduler_without_workers_is_an_error_and_one_that_goes_away_ends_the
             scheduler.wait()
 
         gone = pytest.raises(WorkersLostError, match=r"the Dask scheduler at tcp://127\.0\.0\.1:\d+ is gone")
-        with _workers(tmp_path, 1), open_executor(spec, patience=30) as executor, gone:
+        with _workers(tmp_path, 1), open_executor(spec, patience=10) as executor, gone:
             run(work.square_or_kill, (-1, ""), range(5000), executor, batch_size=1, on_result=stop)

@@ -54,12 +54,14 @@ def test_poles_without_noise_are_exact_and_the_close_pair_is_two():
     assert weak.peak == 198.5  # by most of its half width of 2 Hz
 
 
+LONG = [pytest.mark.slow, pytest.mark.weekly]
+
+
 @pytest.mark.parametrize(
     ("n_tests", "n_responses", "least", "inside"),
     [
         (6, 3, 0.9, 0.84),  # 40 poles: 0.95 minus three standard errors
-        pytest.param(100, 3, 0.95, 0.92, marks=[pytest.mark.slow, pytest.mark.weekly]),
-        pytest.param(100, 1, 0.95, 0.90, marks=pytest.mark.slow),  # one response separates a pair less well
+        *(pytest.param(100, n, 0.95, p, marks=LONG) for n, p in ((3, 0.92), (1, 0.90))),  # one: pairs worse
     ],
 )
 def test_poles_lie_within_their_standard_deviations_in_95_of_100(n_tests, n_responses, least, inside):
