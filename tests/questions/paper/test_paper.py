@@ -72,7 +72,7 @@ def test_what_is_finished_is_not_computed_again_and_what_the_rest_takes_is_said_
     for options, first in (  # the packaged Table 9 took 6 min 56 s; the small effort 78 s of CPU time
         ({"seed": 1}, "10 computations, about 7 min on one core; finished ones are kept"),
         ({"quick": True}, "10 computations, about 2 min on one core; finished ones are kept"),
-        ({"everything": True}, "posteriors over stacking sequences: about 2 h 27 min on one core"),
+        ({"everything": True}, "posteriors over stacking sequences: about 2 h 10 min on one core"),
     ):
         said: list[str] = []
         watch = SimpleNamespace(announce=said.append, promise=said.append, stage=SILENT.stage)
