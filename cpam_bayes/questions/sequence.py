@@ -420,8 +420,8 @@ def _headline(result: StackingResult, first: ListedSequence) -> str:
 def _credible(answer: StackingPosterior) -> str:
     verb = "holds" if answer.credible_count == 1 else "hold"
     return (
-        f"{answer.credible_count} of the {answer.enumerated} layups on the grid of "
-        f"{answer.specimen.angle_grid_deg:g} degrees {verb} 95 % of the probability; no other is considered."
+        f"On the {answer.specimen.angle_grid_deg:g}-degree grid {answer.credible_count} of "
+        f"{answer.enumerated} layups {verb} 95 % of the probability."
     )
 
 

@@ -73,7 +73,7 @@ def test_the_document_has_what_the_contract_names_and_the_first_screen_its_answe
     assert sequences.rows[0] == ("1", "-30/60", f"{together:.3g}", str(own.multiplicity[0] - 1))
     assert summary.headline.startswith(f"Probability {together:.2g}")
     assert "-30/60, or another layup" in summary.headline
-    assert f"{own.credible_count} of the 36 layups on the grid of 30 degrees" in summary.lines[0]
+    assert f"On the 30-degree grid {own.credible_count} of 36 layups" in summary.lines[0]
     assert work(result)["constants"].startswith("emcee on the first 3 of the list")
     (said,) = tables(result)["Outer and inner plies"].rows
     assert said[0].startswith("outer angles are better determined than inner ones")
