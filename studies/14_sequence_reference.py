@@ -198,6 +198,7 @@ def _nested(
         conditional.parameters.size,
         rng,
         live_points=live_points,
+        sample="unif",
     )
 
 

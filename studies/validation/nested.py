@@ -29,12 +29,14 @@ def nested_of_scores(
     *,
     live_points: int = 200,
     batch: int = 32,
+    sample: str = "rslice",
 ) -> tuple[float, float]:
     """Log evidence by nested sampling, and its error, of a likelihood of stacks of parameters (m, n).
 
-    The unit cube is the prior: z = Phi^-1(u), as scores are standard normal. Points above a likelihood are
-    drawn along random directions ("rslice"); from ellipsoids ("unif") they take five times as long with the
-    five parameters of F1 and agree.
+    The unit cube is the prior: z = Phi^-1(u), as scores are standard normal.
+
+    sample : how dynesty draws points above a likelihood: "rslice" along random directions, "unif" from
+        ellipsoids about the live points, quicker with few parameters.
     """
     import dynesty
 
@@ -48,7 +50,7 @@ def nested_of_scores(
         ndtri,
         n,
         nlive=live_points,
-        sample="rslice",
+        sample=sample,
         pool=lockstep,
         queue_size=batch,
         rstate=rng,
