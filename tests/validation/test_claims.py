@@ -62,7 +62,7 @@ def test_a_list_is_a_plate_file_that_says_what_the_truth_says(tapered: tuple[str
     read = cb.read_plate(tomllib.loads(tapered[0]))
     assert read.measurement.relative_std is None
     assert set(read.material.sd) == set(tapered[1].constants)
-    np.testing.assert_allclose(read.measurement.frequencies, tapered[1].true_hz, rtol=0.011)
+    np.testing.assert_allclose(read.measurement.frequencies, tapered[1].true_hz, rtol=0.011)  # noise, 0.1 Hz
 
 
 def test_a_weighed_plate_states_what_it_weighs_and_a_wrong_density_is_a_wrong_weight() -> None:
@@ -295,7 +295,7 @@ def test_a_statistic_is_how_much_better_than_nothing_a_method_is_for_its_number_
     for causes, free in ((alike, 1), (alike[:2], 2), (alike[:1], 3)):
         seen = replace(SEEN, atoms=dict.fromkeys(causes, 9 * FIRST))
         assert references._criterion(seen) == ([causes[-1]], pytest.approx(81.0 - free * np.log(8.0)))
-        assert references._likelihood_ratio(seen)[1] == pytest.approx(81.0 / 7.8147, rel=1e-4)
+        assert references._likelihood_ratio(seen)[1] == pytest.approx(81.0 / 7.8147, rel=1e-4)  # the first
 
 
 def test_a_second_cause_is_named_where_it_explains_half_of_what_the_first_does() -> None:

@@ -188,8 +188,9 @@ def paper(
 ) -> PaperResult:
     """Printed values of the paper's tables beside computed ones, with a verdict on each.
 
-    The computations come with the package, with version and date. Others, and all with ``everything``, are
-    stored as they finish, and the same call resumes from there.
+    The computations come with the package, with version and date. Others are stored as they finish, and the
+    same call resumes from there; the slow work of ``everything`` (CalculiX, diagnoses, stacking sequences,
+    swarms without noise) is not stored.
 
     Parameters
     ----------
