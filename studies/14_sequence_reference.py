@@ -198,7 +198,6 @@ def _nested(
         conditional.parameters.size,
         rng,
         live_points=live_points,
-        sample="unif",
     )
 
 

@@ -29,14 +29,11 @@ def nested_of_scores(
     *,
     live_points: int = 200,
     batch: int = 32,
-    sample: str = "rslice",
 ) -> tuple[float, float]:
     """Log evidence by nested sampling, and its error, of a likelihood of stacks of parameters (m, n).
 
-    The unit cube is the prior: z = Phi^-1(u), as scores are standard normal.
-
-    sample : how dynesty draws points above a likelihood: "rslice" along random directions, "unif" from
-        ellipsoids about the live points, quicker with few parameters.
+    The unit cube is the prior: z = Phi^-1(u), as scores are standard normal. Points above a likelihood are
+    drawn along random directions.
     """
     import dynesty
 
@@ -50,7 +47,7 @@ def nested_of_scores(
         ndtri,
         n,
         nlive=live_points,
-        sample=sample,
+        sample="rslice",
         pool=lockstep,
         queue_size=batch,
         rstate=rng,
