@@ -59,9 +59,9 @@ def _all(groups: list[dict[str, Any]]) -> Figure:
 
 
 def _fit(axes: Axes, row: int, group: dict[str, Any]) -> None:
-    before = group["baseline"]["rms_percent"]
+    before = group["baseline"]["rms_as_stated_percent"]
     if group["extended"] is not None and group["claim"] != "other":
-        after = group["extended"]["rms_percent"]
+        after = group["extended"]["rms_as_stated_percent"]
         arrow = {"arrowstyle": "->", "color": ORANGE, "lw": 1.0, "shrinkA": 0.0, "shrinkB": 0.0}
         axes.annotate("", (after, row), (before, row), arrowprops=arrow)
     axes.plot(before, row, "o", color=DARK)

@@ -129,7 +129,7 @@ def _cause(hypothesis: Mapping[str, Any]) -> Results:
 def _fit(fit: Mapping[str, Any]) -> Results:
     return {
         "constants": _constants(fit["constants"]),
-        "rms_percent": fit["rms_percent"],
+        "rms_as_stated_percent": fit["rms_as_stated_percent"],
         "predictive_p": fit["predictive_p"],
         "residual_percent": [f["residual_percent"] for f in fit["frequencies"]],
     }
@@ -199,7 +199,8 @@ def _answers(rows: Sequence[Results], names: Sequence[str] = CONSTANTS) -> Itera
     for row in rows:
         # an error of unknown form corrects nothing
         after = None if row["claim"] == "other" else row["extended"]
-        misfit = f"{row['baseline']['rms_percent']:.2f}" + (f", {after['rms_percent']:.2f}" if after else "")
+        fits = (row["baseline"], *([after] if after else []))
+        misfit = ", ".join(f"{fit['rms_as_stated_percent']:.2f}" for fit in fits)
         intervals = (_value(row["averaged"].get(name)) for name in names)
         yield f"| {' | '.join((' + '.join(row['plates']), row['sentence'], misfit, *intervals))} |"
 

@@ -104,8 +104,8 @@ def row_of(truth: Mapping[str, Any], document: Mapping[str, Any]) -> Results:
             }
             for name, value, found in ((k, v, constants[k]) for k, v in truth["constants"].items())
         ],
-        "rms_percent_before": document["baseline"]["rms_percent"],
-        "rms_percent_after": None if extended is None else extended["rms_percent"],
+        "rms_percent_before": document["baseline"]["rms_as_stated_percent"],
+        "rms_percent_after": None if extended is None else extended["rms_as_stated_percent"],
         "residuals_percent_before": before,
         "residuals_percent_after": after,
         "seconds": document["seconds"],

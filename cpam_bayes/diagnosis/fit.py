@@ -172,8 +172,9 @@ class Fit:
     """The fit of one model to the lists.
 
     constants : name -> mean, sd, 2.5 % and 97.5 % quantile, SI.
-    predicted, predicted_sd, sigma : of all frequencies, plate by plate.
-    rms : relative.
+    predicted, predicted_sd, sigma : of all frequencies, plate by plate, the first with the most probable
+        common errors by sizes, mass, frequency scale and theory.
+    rms : of the relative residuals. rms_as_stated : the same with sizes, mass and scale exactly as stated.
     p_value : posterior predictive, of the sum of squared standardised residuals.
     predictive_p : p-value against the stated repeatability, or the prior of an inferred one.
     log_evidence : prior-weighted over the members.
@@ -188,6 +189,7 @@ class Fit:
     predicted_sd: Array
     sigma: Array
     rms: float
+    rms_as_stated: float
     p_value: float
     predictive_p: float
     log_evidence: float
@@ -211,7 +213,7 @@ def fit_of(members: Sequence[tuple[Tested, float]], whole: Array, checks: Predic
     # with several plates the size of a cause is named after its plate too
     of_causes = {p.own for t, _ in members for p in t.hypothesis.parameters}
     kept_names = [n for n in shared if first.model.parameters[n].own not in of_causes]
-    draws, predicted, variance, tail = [], [], [], []
+    draws, as_stated, predicted, variance, tail = [], [], [], [], []
     for t, fraction in members:
         marginal, comparison = t.marginal, t.marginal.comparison
         x = marginal.resampled(max(round(fraction * _DRAWS), 2))
@@ -219,14 +221,17 @@ def fit_of(members: Sequence[tuple[Tested, float]], whole: Array, checks: Predic
         v = comparison.variance(x)
         freedom = f.shape[1]
         tail.append(chi2.sf(comparison.misfit(x, f), freedom))
+        factor = np.exp(comparison.common_part(comparison.scores.to_z(x)) / comparison.listed.frequencies)
         if freedom < len(whole):  # a false peak is predicted as measured
             kept = kept_of(whole, comparison.listed.frequencies)
             f_all, v_all = np.tile(whole, (len(x), 1)), np.full((len(x), len(whole)), np.median(v))
-            f_all[:, kept], v_all[:, kept] = f, v
-            f, v = f_all, v_all
+            one = np.ones_like(f_all)
+            f_all[:, kept], v_all[:, kept], one[:, kept] = f, v, factor
+            f, v, factor = f_all, v_all, one
         names = comparison.parameters.names
         draws.append(x[:, [names.index(n) for n in kept_names]])
-        predicted.append(f)
+        as_stated.append(f)
+        predicted.append(f * factor)
         variance.append(v)
     x, f, v = np.concatenate(draws), np.concatenate(predicted), np.concatenate(variance)
     whole_prior = prior_of([t for t, _ in members])
@@ -241,7 +246,8 @@ def fit_of(members: Sequence[tuple[Tested, float]], whole: Array, checks: Predic
         predicted=mean,
         predicted_sd=f.std(axis=0),
         sigma=np.sqrt(v.mean(axis=0)),
-        rms=float(np.sqrt(np.mean((mean / whole - 1.0) ** 2))),
+        rms=_rms(mean / whole - 1.0),
+        rms_as_stated=_rms(np.concatenate(as_stated).mean(axis=0) / whole - 1.0),
         p_value=float(np.mean(np.concatenate(tail))),
         predictive_p=sum(fraction * checks.p_value(t) for t, fraction in members),
         log_evidence=float(
@@ -255,6 +261,10 @@ def fit_of(members: Sequence[tuple[Tested, float]], whole: Array, checks: Predic
         draws=x,
         parameters={name: first.parameters[name] for name in kept_names},
     )
+
+
+def _rms(relative: Array) -> float:
+    return float(np.sqrt(np.mean(relative**2)))
 
 
 def inferred_noise(members: Sequence[tuple[Tested, float]]) -> tuple[float, float] | None:
@@ -359,8 +369,8 @@ def gain_of(
     best_outside = np.max([logsumexp(weight[[t.key == key for t in top]], axis=0) for key in outside], axis=0)
     ahead = logsumexp(weight[is_claimed], axis=0) > best_outside
     return Gain(
-        baseline.rms,
-        extended.rms,
+        baseline.rms_as_stated,
+        extended.rms_as_stated,
         weighed.log_bayes_factor(extending),
         mixture - (logsumexp(whole[is_plain]) - logsumexp(folds[is_plain], axis=0)),
         len({t.key for t in top}),

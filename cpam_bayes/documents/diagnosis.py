@@ -131,6 +131,7 @@ class PlateFit(FitOfLists):
 class Fit(FitOfLists):
     """A fit of all lists, by the plain model or as `Extended`."""
 
+    rms_as_stated_percent: Annotated[Number, Field(description="misfit, sizes, mass and scale as stated, %")]
     log_evidence_error: StandardError
     k_hat: KHat
     posterior_predictive_p_value: Number

@@ -378,7 +378,7 @@ def _verdict(result: DesignResult, best: Candidate) -> str:
     no = [name for name in result.asked if name not in determined]
     spread = dict(zip(result.constants, best.expected.sd, strict=True))
     told = [
-        f"{name} to +- {significant(2 * to_user(name, float(spread[name])), 2)} {unit_of(name)}".rstrip()
+        f"{name} to within {significant(2 * to_user(name, float(spread[name])), 2)} {unit_of(name)}".rstrip()
         for name in yes
     ]
     if not yes:

@@ -12,7 +12,7 @@ from typing import Any, Final, TypeAlias
 from cpam_bayes.answer import Notice, Severity
 from cpam_bayes.formatting import listed, significant, with_spread
 from cpam_bayes.forward_model.preconditions import likely_cure
-from cpam_bayes.plate import Constraint, to_user, user_name
+from cpam_bayes.plate import Constraint, to_user, unit_of, user_name
 from cpam_bayes.plate.edges import CONDITIONS, PLACES
 
 Facts: TypeAlias = Mapping[str, Any]
@@ -94,6 +94,17 @@ def _reference_outside(facts: Facts) -> str:
         value, low, high = (f"{to_user(name, v):.5g}" for v in values)
         each.append(f"{user_name(name)} = {value} (bounds {low} to {high})")
     return f"Reference outside its bounds: {_names(each)}. Correct the value or widen the bounds."
+
+
+def _at_bound(facts: Facts) -> str:
+    each = []
+    for name, which, end in facts["bounds"]:
+        bound = f"{to_user(name, end):.5g} {unit_of(name)}".rstrip()
+        each.append(f"{name} lies at its {which} bound, {bound}")
+    shifted = (
+        "A bound that excludes the true constant shifts the others, or looks like an error of the plate."
+    )
+    return f"{'; '.join(each)}. {shifted}"
 
 
 def _few_frequencies(facts: Facts) -> str:
@@ -529,6 +540,7 @@ SENTENCES: Final[Mapping[str, str | Callable[[Facts], str]]] = {
     "as_written": "{text:sentence}",
     "units": _units,
     "reference_outside": _reference_outside,
+    "at_bound": _at_bound,
     "few_frequencies": _few_frequencies,
     "no_frequency_over": _no_frequency_over,
     "large_stated_noise": _large_stated_noise,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, Final
 
@@ -101,7 +102,12 @@ def constant_rows(constants: Sequence[Constant], name: str = "constants") -> Row
 
     name : of the CSV file and the data frame
     """
-    return Rows(name, _CONSTANT, tuple(constants), lambda c: not c.is_determined)
+    at_bound = [c.name for c in constants if c.bound is not None and c.verdict is not Verdict.PRIOR]
+    # the others depend on a bound that the frequencies push against
+    rows = (
+        replace(c, rests_on=(*at_bound, *(n for n in c.rests_on if n not in at_bound))) for c in constants
+    )
+    return Rows(name, _CONSTANT, tuple(rows), lambda c: not c.is_determined)
 
 
 def constants_table(constants: Sequence[Constant]) -> Table:
@@ -471,6 +477,12 @@ def correction_step(written: Iterable[str], of: Sequence[str] = ()) -> str:
     return f"correct the plate file{whose}{f', as in {files} in the directory of --out' if files else ''}."
 
 
+def bounds_step(notices: Sequence[Notice]) -> tuple[str, ...]:
+    """Next step where the frequencies push constants against their bounds."""
+    names = [name for n in notices if n.code == "at_bound" for name, *_ in n.facts["bounds"]]
+    return (f"widen the bounds of {listed(names, 'and')} in [unknowns], and ask again.",) if names else ()
+
+
 def contradicts_itself(notices: Sequence[Notice]) -> bool:
     """Whether a notice says that stated thickness, mass and density contradict each other."""
     return any(notice.code == "thicknesses_apart" for notice in notices)
@@ -491,7 +503,8 @@ def mismatch_step(
     ]
     if contradicts_itself(notices):
         return ("gauge and weigh the plate again: its thickness, mass and density contradict one another.",)
-    if not (contradicts_list(notices) or other):
+    # what is off by little more than the noise may be a cause that `diagnose` names
+    if not (contradicts_list(n for n in notices if n.code != "misfit_over_noise") or other):
         return ()
     edges = f"the edges ({edges_text(specimen.plate.edges)})"
     layup = () if specimen.material.isotropic else ("the layup",)

@@ -67,7 +67,10 @@ def test_a_cause_is_named_with_its_size_its_fit_and_its_gain():
     assert abs(mean - 0.03) < 3 * sd
     assert (unit, found.gain.stable) == ("", 1.0)
     assert found.extended.rms < NOISE < found.baseline.rms  # the list's own noise remains
-    assert (found.gain.rms_before, found.gain.rms_after) == (found.baseline.rms, found.extended.rms)
+    assert (found.gain.rms_before, found.gain.rms_after) == (
+        found.baseline.rms_as_stated,
+        found.extended.rms_as_stated,
+    )
     assert found.extended.p_value > 0.05 > 1e-3 > found.baseline.p_value
     for name, truth in (("E1", 1.03), ("G12", 0.96)):  # unlike the plain model, the extended one covers them
         mean, sd, low, high = found.extended.constants[name]

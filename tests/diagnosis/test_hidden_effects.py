@@ -107,7 +107,7 @@ SHOWN = (  # Causes that frequencies can show, at sizes and places off every gri
     Case("warp", FREE, 1.31e-3),
     Case("membrane_stress", FREE, 4.7e6),
     Case("outline", FREE, 0.087, {"form": "rectangle", "x": 1.0, "y": 0.0, "ratio": 1.18}),
-    Case("damage", FREE, 0.77, _PATCH, marks=SLOW),
+    Case("damage", FREE, 0.77, _PATCH),
     Case("viscoelastic", FREE, 0.037),
     Case("mode_identity", FREE, missed=(4,), marks=SLOW),
     Case("outlier", FREE, on_list=_misread({5: 1.043}), marks=SLOW),

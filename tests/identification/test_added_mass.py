@@ -83,18 +83,6 @@ def test_a_mass_up_to_the_largest_is_found_where_it_is(free):
     assert len(symmetries(clamped, cells_of(clamped))) == 2, "a clamp takes one mirror image away"
 
 
-@pytest.mark.slow
-@pytest.mark.weekly
-def test_masses_lie_in_their_intervals_as_often_as_these_say(free):
-    rng, inside = np.random.default_rng(5), []
-    for seed in range(12):
-        mass, place = MASS * rng.uniform(0.02, 0.06), rng.uniform(size=(1, 2))
-        d = free[0].shifts(place, np.array([mass]), [AREAL])[0, 0, 0]
-        found = answer(free, d + repeated(rng), seed=seed)
-        inside.append(found.interval[0] < mass < found.interval[1])
-    assert sum(inside) >= 9  # 12 trials of 0.95: below 9 with a probability of 0.002
-
-
 def test_known_masses_show_repeatability_and_error_of_a_shift():
     """95 and 90 % binomially: for 200 laboratories with four coins that share a first list."""
     rng = np.random.default_rng(8)

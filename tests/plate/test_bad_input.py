@@ -229,8 +229,7 @@ REFUSED = [  # the same, and text in the single message
     ("relative_std = 0.002", "relative_std = 2", "0.2 % is 0.002"),
     (LIST, "[80,85, 146,350, 218,6]", "are these decimal commas?"),  # the list
     (LIST, "[80.2; 146.3; 218.6]", "commas part the numbers of a list"),
-    (LIST, "(80.2, 146.3)", "a list stands in [ ]"),
-    (LIST, "80.2, 146.3, 218.6", "a list stands in [ ]"),
+    (LIST, "(80.2, 146.3)", "a list stands in [ ]"), (LIST, "80.2, 146.3, 218.6", "a list stands in [ ]"),
     (LIST, "[80,2; 146,3]", "a decimal point, not a comma: 80.2"),
     (LIST, "[80; 146,3]", "a decimal point, not a comma: 146.3"),
     (LIST, "[-12.5; 3]", "commas part the numbers of a list: -12.5, 3"),

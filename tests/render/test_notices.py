@@ -63,6 +63,7 @@ FACTS: dict[str, dict[str, object]] = {
     "no_sequence_explains": {"p": 1e-4, "complete": True},
     "frequencies_without_mode": {"alone": 1, "of": 6, "complete": False},
     "sequence_noise": {"noise": 0.06, "complete": True}, "sequence_at_bounds": {"bounds": (("E1", "upper"),)},
+    "at_bound": {"bounds": (("E1", "upper", 62e9), ("nu12", "lower", 0.2))},
     "sequence_chains": {"number": None, "r_hat": 1.2, "ess_bulk": 12.0},
     "sequence_disagrees": {"number": 2, "z": 6.0},
     "one_layup_taken": {"angles_deg": (0.0, 45.0), "probability": 0.4},

@@ -16,7 +16,6 @@ from cpam_bayes.inference.posterior import NOISE_PRIOR
 from cpam_bayes.inference.swarm import SwarmSettings
 from cpam_bayes.parallel import open_executor
 from tests.linear_model import LinearModel
-from tests.stacking.cases import specimen
 from validation import draw_store, sequences
 from validation.draw_store import DrawStore, stored_calibration
 
@@ -245,19 +244,6 @@ def test_places_of_draws_are_uniform_and_those_of_too_sure_ones_do_not_pass(powe
     found = sequences.summarised(trials)
     assert found.passes == (power == 1)
     assert (found.p_uniform > 0.01) if power == 1 else (found.z < 0.0)
-
-
-@pytest.mark.slow
-@pytest.mark.weekly
-def test_sets_of_simulated_plates_hold_the_true_sequence() -> None:
-    settings = sequences.CoverageSettings(library=400, log2_points=7)
-    found = sequences.stacking_coverage(specimen(), 24, 0, settings=settings)
-    assert [t.number for t in found] == list(range(24))
-    assert sequences.summarised(found).passes
-    assert sequences.summarised(found, 0.5).passes  # not because they contain everything
-    assert sequences.summarised(found).p_uniform > 0.01
-    assert max(t.set_size for t in found) < 36
-    assert sequences.stacking_coverage(specimen(), 2, 0, settings=settings) == found[:2]
 
 
 def test_a_plate_has_its_own_unknown_angles_or_those_of_a_layup_that_stand_at_their_places() -> None:

@@ -130,7 +130,8 @@ def batch(
     population, not_pooled = (
         _population([row for row in rows if row.is_judged], seed, watch) if hierarchical else (None, ())
     )
-    materials = {row.material for row in rows if row.status == "done"}
+    # plates without a name of their material differ where other constants are sought
+    materials = {(row.material, *(c.name for c in row.constants)) for row in rows if row.status == "done"}
     return BatchResult(
         seed=seed,
         notices=(

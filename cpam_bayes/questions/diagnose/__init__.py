@@ -67,6 +67,7 @@ from cpam_bayes.questions.diagnose.document import (
     titles_of,
 )
 from cpam_bayes.questions.diagnose.drawings import drawings
+from cpam_bayes.questions.identify.slips import bound_slips
 from cpam_bayes.render.plate import air_text, plate_section
 from cpam_bayes.render.report import (
     COMPUTATION,
@@ -184,6 +185,7 @@ def _slips(diagnosis: Diagnosis, specimens: Sequence[Specimen]) -> tuple[Notice,
         *equal_list_slips(specimens),
         *count_slips(len(diagnosis.baseline.measured), len(unknowns)),
         *misfit_slips(fit.rms),
+        *bound_slips(fit_constants(diagnosis, diagnosis.baseline)),
         *(slip for specimen in specimens for slip in reference_slips(specimen)),
     )
 

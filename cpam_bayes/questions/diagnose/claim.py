@@ -38,6 +38,7 @@ from cpam_bayes.render.report import (
 )
 from cpam_bayes.render.sentences import (
     attached_step,
+    bounds_step,
     constants_table,
     contradicts_itself,
     fit_sentence,
@@ -223,17 +224,16 @@ def _capital(text: str) -> str:
 
 def _fit_sentence(d: Diagnosis) -> str:
     """How well the model fits, before and after allowing for the claim."""
-    before = significant(100.0 * d.baseline.rms, 2)
     if d.extended is not None and d.claim.kind != OTHER:
         allowing = {"class": "Allowing for one of them", "pair": "Allowing for these"}
-        after = significant(100.0 * d.extended.rms, 2)
+        before, after = (significant(100.0 * f.rms_as_stated, 2) for f in (d.baseline, d.extended))
         fit = (
             f"{allowing.get(d.claim.kind, 'Allowing for it')}, the misfit falls from {before} % to {after} %"
         )
         return f"{fit}{_unexplained(d)}."
     noise = inferred_noise(d.weighed.plain)
     if d.claim.kind == OTHER and noise is not None:
-        return f"Fit {before} %{_unexplained(d)}."
+        return f"Fit {significant(100.0 * d.baseline.rms, 2)} %{_unexplained(d)}."
     noisiest = max((case.measurement for case in d.cases), key=lambda m: m.relative_noise or 0.0)
     return fit_sentence(
         d.baseline.rms,
@@ -369,6 +369,7 @@ def next_steps(result: DiagnosisResult) -> tuple[str, ...]:
     """Next steps, the most useful first: correct the list, check what is claimed, or measure more."""
     d, constants = result.diagnosis, answer_constants(result.diagnosis)
     steps = [step for plate in result.plates for step in mismatch_step(plate, result.notices)]
+    steps += bounds_step(result.notices)
     if d.claim.kind == OTHER:
         steps.append("see which modes are off: their shapes show where the cause acts.")
     further, decides = _further_test(result.candidates)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -272,6 +272,7 @@ def _constants_of(d: Diagnosis, moments: Mapping[str, Moments], *, explained: bo
             continue
         parameter = case.models.parameters[name]
         prior = parameter.prior
+        bound = _bound_of((low, high), prior)
         found.append(
             Constant(
                 name,
@@ -280,12 +281,24 @@ def _constants_of(d: Diagnosis, moments: Mapping[str, Moments], *, explained: bo
                 (low, high),
                 prior,
                 float(reference_constants(case.models.specimen).get(name, float("nan"))),
-                verdict_of(sd, prior.sd, explained=explained),
+                verdict_of(sd, prior.sd, explained=explained, at_bound=bound is not None),
+                bound=bound,
                 rests_on=tuple(r.on for r in d.reliances if r.name == name),
                 has_former_plate=parameter.coupled is not None,
             )
         )
     return tuple(found)
+
+
+# Fraction of a search interval within which an end of a 95 % interval is at the bound; 0.025 if even.
+_AT_BOUND: Final = 0.01
+
+
+def _bound_of(interval: tuple[float, float], prior: Prior) -> Literal["lower", "upper"] | None:
+    """The bound of its prior that a 95 % interval ends at, if any; neither where it ends at both."""
+    reach = _AT_BOUND * (prior.upper - prior.lower)
+    at_lower, at_upper = interval[0] - prior.lower < reach, prior.upper - interval[1] < reach
+    return None if at_lower == at_upper else "lower" if at_lower else "upper"
 
 
 def _nuisance_of(d: Diagnosis, fit: Fit) -> dict[str, tuple[float, float]]:
@@ -559,6 +572,7 @@ def _fit(
         "constants": _constants(fit_constants(d, fit)),
         "frequencies": _frequencies(rows),
         "rms_percent": 100.0 * fit.rms,
+        "rms_as_stated_percent": 100.0 * fit.rms_as_stated,
         "log_evidence": fit.log_evidence,
         "log_evidence_error": fit.log_evidence_error,
         "k_hat": fit.k_hat,

@@ -63,7 +63,14 @@ from cpam_bayes.mechanics.modes import Mode
 from cpam_bayes.plate import Measurement, PlateLike, Specimen, read_plate, user_name
 from cpam_bayes.plate.laminate import flexural_constants
 from cpam_bayes.priors import Prior
-from cpam_bayes.questions.identify.slips import Slip, corrected_texts, slips_where_unreachable, with_slips
+from cpam_bayes.questions.identify.slips import (
+    Slip,
+    bound_slips,
+    corrected_texts,
+    slips_where_unreachable,
+    with_slips,
+    without_own_prior,
+)
 from cpam_bayes.result import PlateResult, within_time
 from cpam_bayes.running import SILENT, Watch, single_blas_thread
 
@@ -467,11 +474,13 @@ def _slips(
         for c in constants.values()
         if c.verdict in (Verdict.DATA, Verdict.BOTH, Verdict.MISFIT)
     }
+    alone = map(without_own_prior, constants.values())
     return (
         *stated_slips(specimen),
         *count_slips(measurement.size, len(constants)),
         *excess,
-        *(() if is_named else reference_contradictions(specimen, determined, constants.values())),
+        *(() if is_named else reference_contradictions(specimen, determined, alone)),
+        *bound_slips(constants.values()),
         *reference_slips(specimen),
     )
 
@@ -550,6 +559,7 @@ def _constant(
         verdict=verdict_of(marginal.sd, parameter.prior.sd, at_bound=at_bound, explained=explained)
         if converged
         else Verdict.UNCONVERGED,
+        bound=marginal.bound if name in specimen.unknowns else None,
         has_former_plate=parameter.coupled is not None,
     )
 

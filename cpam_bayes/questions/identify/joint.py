@@ -39,6 +39,7 @@ from cpam_bayes.plate import PlateLike, read_plate, to_user, user_name
 from cpam_bayes.questions.identify.slips import (
     GROSS,
     Slip,
+    bound_slips,
     corrected_texts,
     slip_records,
     slips_where_unreachable,
@@ -156,6 +157,7 @@ def identify_jointly(
         notices=(
             *(slip for fit in estimate.fits for slip in _of_list(fit, stated_slips(fit.specimen))),
             *(notice for _, notices in excess for notice in notices),
+            *bound_slips(estimate.constants),
             *prior_notices(specimens),
             *_notices(estimate),
         ),

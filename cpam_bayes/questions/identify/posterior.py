@@ -40,6 +40,7 @@ from cpam_bayes.render.report import (
 )
 from cpam_bayes.render.sentences import (
     attached_step,
+    bounds_step,
     constant_details,
     constant_rows,
     constants_headline,
@@ -187,6 +188,7 @@ def _steps(result: SampledResult, use: Sequence[str]) -> tuple[str, ...]:
         *((correction_step(result.texts()),) if result.explained_by else ()),
         *(_longer_chains(result) if result.status == "budget" else ()),
         *(() if result.explained_by else mismatch),
+        *bounds_step(result.notices),
         diagnose_step(specimen),
     )
     if result.status == "budget":

@@ -39,10 +39,12 @@ from cpam_bayes.plate import Measurement, PlateLike, Specimen, read_plate, to_us
 from cpam_bayes.questions.identify.joint import JointResult, identify_jointly
 from cpam_bayes.questions.identify.slips import (
     Slip,
+    bound_slips,
     corrected_texts,
     slip_records,
     slips_where_unreachable,
     with_slips,
+    without_own_prior,
 )
 from cpam_bayes.render.figures import PREDICTED, new_figure
 from cpam_bayes.render.plate import (
@@ -67,6 +69,7 @@ from cpam_bayes.render.report import (
 )
 from cpam_bayes.render.sentences import (
     attached_step,
+    bounds_step,
     constant_details,
     constant_keys,
     constant_rows,
@@ -327,11 +330,14 @@ def identify(
         for c in estimate.alone or estimate.constants
         if c.verdict in (Verdict.DATA, Verdict.MISFIT) and not c.elsewhere
     }
+    # other residuals use no prior
+    alone = map(without_own_prior, estimate.constants) if residuals == "whitened" else estimate.constants
     slips = (
         *stated_slips(specimen),
         *count_slips(n, k),
-        *(() if explained_by else reference_contradictions(specimen, determined, estimate.constants)),
+        *(() if explained_by else reference_contradictions(specimen, determined, alone)),
         *excess,
+        *bound_slips(estimate.constants),
         *reference_slips(specimen),
     )
     return PointResult(
@@ -442,6 +448,7 @@ def _steps(result: PointResult, use: Sequence[str]) -> tuple[str, ...]:
     steps = [*mismatch_step(specimen, result.notices, [row.label for row in result.frequencies])]
     if result.explained_by:
         steps = [correction_step(result.texts())]
+    steps += bounds_step(result.notices)
     posterior = f"get the posterior of the constants.  cpam-bayes identify {plate} --backend emcee"
     if result.angles is None:
         steps += [diagnose_step(specimen), posterior]

@@ -4,6 +4,8 @@ Slips of the plate, each the plain model of another plate: sides exchanged, layu
 neighbouring edges held, clamps and simple supports exchanged, a free plate clamped at an edge, a held plate
 free. Slips of the list: the list errors of the catalogue, and a misplaced decimal point. They are weighed
 against no slip, and against no slip with an unexplained residual, and claimed by the rules for causes.
+
+Bounds and priors that the frequencies contradict are slips too, whatever the misfit.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from typing import Any, Final, Literal, NamedTuple, TypeAlias
 import numpy as np
 from scipy.special import logsumexp
 
-from cpam_bayes.answer import Notice
+from cpam_bayes.answer import Constant, Notice, Verdict
 from cpam_bayes.diagnosis.cases import plate_case
 from cpam_bayes.diagnosis.comparison import SCATTER
 from cpam_bayes.diagnosis.evidence.marginal import Marginal
@@ -369,6 +371,33 @@ def _other_plates(specimen: Specimen) -> Iterator[tuple[SlipKind, Plate, dict[Ke
     for i in range(len(EDGES) if specimen.sensors else len(EDGES) // 2):
         edges = ALL_FREE[:i] + "C" + ALL_FREE[i + 1 :]
         yield "clamped", replace(plate, edges=edges), {("plate", "edges"): edges}
+
+
+def bound_slips(constants: Iterable[Constant]) -> tuple[Notice, ...]:
+    """A notice of the constants that the frequencies push against a bound of their search interval."""
+    pushed = tuple(
+        (c.name, c.bound, c.prior.lower if c.bound == "lower" else c.prior.upper)
+        for c in constants
+        if c.bound is not None and c.verdict not in (Verdict.PRIOR, Verdict.UNCONVERGED)
+    )
+    return (Notice("at_bound", "slip", {"bounds": pushed}),) if pushed else ()
+
+
+def without_own_prior(constant: Constant) -> Constant:
+    """A constant with the value m and the sd s that it has without its own prior, all taken for normal.
+
+    Of a posterior N(v, t^2) with the prior N(c, r^2) what else is known gives
+
+        1 / s^2 = 1 / t^2 - 1 / r^2,  m = s^2 (v / t^2 - c / r^2)
+
+    The constant itself where its prior has no centre, or where nothing else determines it.
+    """
+    prior = constant.prior.describe()
+    if prior.centre is None or not constant.sd < prior.scale:
+        return constant
+    precision = constant.sd**-2 - prior.scale**-2
+    value = (constant.value * constant.sd**-2 - prior.centre * prior.scale**-2) / precision
+    return replace(constant, value=value, sd=precision**-0.5)
 
 
 def corrected_texts(

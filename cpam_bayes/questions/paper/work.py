@@ -266,13 +266,13 @@ def diagnosis_row(document: Mapping[str, Any]) -> dict[str, Any]:
     """What is stored of a `diagnose` document, of one plate or of a group of study 12."""
     extended, gain = document["extended"], document["gain"]
     return {
-        "plain_rms_percent": document["baseline"]["rms_percent"],
+        "plain_rms_percent": document["baseline"]["rms_as_stated_percent"],
         "claim": document["claim"],
         "sentence": document["sentence"],
         "causes": document["causes"],
         "sizes": _sizes(document),
         "probability": document["probability"],
-        "extended_rms_percent": None if extended is None else extended["rms_percent"],
+        "extended_rms_percent": None if extended is None else extended["rms_as_stated_percent"],
         "log_bayes_factor": None if gain is None else gain["log_bayes_factor"],
         "held_out": None if gain is None else gain["held_out_log_score_difference"],
         "held_out_se": None if gain is None else gain["held_out_log_score_se"],
