@@ -219,9 +219,9 @@ def _residuals_figure(result: DiagnosisResult) -> Figure:
         plain = [row for row in before if row.plate == name]
         extended = None if after is None else [row for row in after if row.plate == name]
         _draw_residuals(panel, result, i, plain, extended)
-    title = f"{_names(d)}: misfit {100 * d.baseline.rms_as_stated:.2f} %"
+    title = f"{_names(d)}: misfit {100 * d.baseline.rms:.2f} %"
     if d.extended is not None:
-        title += f", with what was found {100 * d.extended.rms_as_stated:.2f} %"
+        title += f", with what was found {100 * d.extended.rms:.2f} %"
     headed(panels[0], title)
     return figure
 
