@@ -32,6 +32,7 @@ from cpam_bayes.identification.point import reliances, verdict_of
 from cpam_bayes.parallel import open_executor
 from cpam_bayes.plate import PlateLike, Specimen, read_plate, to_user, user_name
 from cpam_bayes.printed.tables import identified_layups
+from cpam_bayes.questions.identify.slips import bound_slips, pushed
 from cpam_bayes.render.plate import plate_section
 from cpam_bayes.render.report import (
     COMPUTATION,
@@ -45,6 +46,7 @@ from cpam_bayes.render.report import (
 )
 from cpam_bayes.render.sentences import (
     basis_error_text,
+    bounds_step,
     constant_rows,
     constants_table,
     errors_table,
@@ -297,6 +299,7 @@ def _slips(
     return (
         *stated_slips(specimen),
         *count_slips(measurement.size, specimen.unknowns.size),
+        *bound_slips(constants),
         *(reference_contradictions(specimen, {}, constants) if explained else ()),
         *misfit_slips(misfit),
         *reference_slips(specimen),
@@ -437,7 +440,7 @@ def _fit(result: StackingResult) -> str:
 
 
 def _next_step(result: StackingResult, first: ListedSequence) -> str:
-    for step in mismatch_step(result.specimen, result.notices):
+    for step in (*bounds_step(result.notices), *mismatch_step(result.specimen, result.notices)):
         return step
     if any(notice.code == "few_frequencies" for notice in result.notices):
         return "measure more modes: bounds and the grid of angles decide this layup."
@@ -458,7 +461,7 @@ def _constants(
     for i, name in enumerate(answer.specimen.unknowns.names):
         low, high = np.quantile(draws[:, i], (0.025, 0.975))
         prior, sd = parameters[name].prior, float(draws[:, i].std())
-        constants.append(
+        constant = pushed(
             Constant(
                 name=name,
                 value=float(draws[:, i].mean()),
@@ -471,6 +474,7 @@ def _constants(
                 has_former_plate=parameters[name].coupled is not None,
             )
         )
+        constants.append(constant)
     return tuple(constants)
 
 

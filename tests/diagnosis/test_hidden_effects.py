@@ -1,8 +1,7 @@
 """Every cause of the catalogue is hidden in a list at least once, and the user's claim is checked.
 
 The lists are those of independent elements, with noise of 0.2 %. A cause that the constants imitate cannot be
-claimed: then nothing may be, and the answer says that these data need not have shown it. Pairs of causes,
-most of the work, are weighed for one cause of each plate and for clean ones.
+claimed: then nothing may be, and the answer says so. Pairs are weighed for one cause of each plate.
 """
 
 from dataclasses import dataclass, field, replace

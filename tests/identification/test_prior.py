@@ -12,6 +12,7 @@ from cpam_bayes.diagnosis.cases import plate_case
 from cpam_bayes.forward_model.model import ASSUMED_SD, assumed_spreads, constant_parameters, with_references
 from cpam_bayes.parameters import TruncatedLogNormal, TruncatedNormal, Uniform
 from cpam_bayes.plate import parse_specimen
+from cpam_bayes.questions.identify.slips import pushed
 from cpam_bayes.render.sentences import determined_text, references_said
 from tests.diagnosed import diagnosed
 from tests.plate_file import MEASURED, PLATE, SHEET, SHEET_SD, described
@@ -178,3 +179,5 @@ def test_a_bound_that_excludes_the_constant_is_said_first_and_widening_it_is_the
     assert "not determined: at its upper bound" in screen
     assert "Next: widen the bounds of E1 in [unknowns], and ask again." in screen
     assert not any(line.endswith("  determined") for line in screen.splitlines())
+    wide = replace(answer.constants["E1"], prior=Uniform(10e9, 1e13), bound="lower")
+    assert pushed(wide).bound is None, "a hundredth of these bounds is more than E1"

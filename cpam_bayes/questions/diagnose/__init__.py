@@ -184,8 +184,8 @@ def _slips(diagnosis: Diagnosis, specimens: Sequence[Specimen]) -> tuple[Notice,
         *(slip for specimen in specimens for slip in stated_slips(specimen)),
         *equal_list_slips(specimens),
         *count_slips(len(diagnosis.baseline.measured), len(unknowns)),
-        *misfit_slips(fit.rms),
         *bound_slips(fit_constants(diagnosis, diagnosis.baseline)),
+        *misfit_slips(fit.rms),
         *(slip for specimen in specimens for slip in reference_slips(specimen)),
     )
 

@@ -368,8 +368,8 @@ def _short(d: Diagnosis, claim: Claim, probability: Mapping[str, float]) -> str:
 def next_steps(result: DiagnosisResult) -> tuple[str, ...]:
     """Next steps, the most useful first: correct the list, check what is claimed, or measure more."""
     d, constants = result.diagnosis, answer_constants(result.diagnosis)
-    steps = [step for plate in result.plates for step in mismatch_step(plate, result.notices)]
-    steps += bounds_step(result.notices)
+    mismatch = (step for plate in result.plates for step in mismatch_step(plate, result.notices))
+    steps = [*bounds_step(result.notices), *mismatch]
     if d.claim.kind == OTHER:
         steps.append("see which modes are off: their shapes show where the cause acts.")
     further, decides = _further_test(result.candidates)

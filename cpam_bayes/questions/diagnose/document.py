@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final, Literal
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from cpam_bayes.forward_model.model import reference_constants
 from cpam_bayes.identification.point import verdict_of
 from cpam_bayes.parameters import Parameter, Prior
 from cpam_bayes.plate import Plate, to_user, user_name
+from cpam_bayes.questions.identify.slips import pushed
 from cpam_bayes.render.report import Column, Rows
 from cpam_bayes.render.spectrum import peak_keys, peak_rows
 from cpam_bayes.result import PlatesResult
@@ -272,8 +273,7 @@ def _constants_of(d: Diagnosis, moments: Mapping[str, Moments], *, explained: bo
             continue
         parameter = case.models.parameters[name]
         prior = parameter.prior
-        bound = _bound_of((low, high), prior)
-        found.append(
+        constant = pushed(
             Constant(
                 name,
                 mean,
@@ -281,24 +281,13 @@ def _constants_of(d: Diagnosis, moments: Mapping[str, Moments], *, explained: bo
                 (low, high),
                 prior,
                 float(reference_constants(case.models.specimen).get(name, float("nan"))),
-                verdict_of(sd, prior.sd, explained=explained, at_bound=bound is not None),
-                bound=bound,
+                verdict_of(sd, prior.sd, explained=explained),
                 rests_on=tuple(r.on for r in d.reliances if r.name == name),
                 has_former_plate=parameter.coupled is not None,
             )
         )
+        found.append(constant)
     return tuple(found)
-
-
-# Fraction of a search interval within which an end of a 95 % interval is at the bound; 0.025 if even.
-_AT_BOUND: Final = 0.01
-
-
-def _bound_of(interval: tuple[float, float], prior: Prior) -> Literal["lower", "upper"] | None:
-    """The bound of its prior that a 95 % interval ends at, if any; neither where it ends at both."""
-    reach = _AT_BOUND * (prior.upper - prior.lower)
-    at_lower, at_upper = interval[0] - prior.lower < reach, prior.upper - interval[1] < reach
-    return None if at_lower == at_upper else "lower" if at_lower else "upper"
 
 
 def _nuisance_of(d: Diagnosis, fit: Fit) -> dict[str, tuple[float, float]]:

@@ -67,6 +67,7 @@ from cpam_bayes.questions.identify.slips import (
     Slip,
     bound_slips,
     corrected_texts,
+    pushed,
     slips_where_unreachable,
     with_slips,
     without_own_prior,
@@ -372,7 +373,7 @@ def _summarise(
     by_basis = basis_error(model, few[:_CHECKED_DRAWS, :n]).max(axis=0)
     constants = {
         name: replace(
-            judged(name, marginals[name], explained=explained),
+            pushed(judged(name, marginals[name], explained=explained)),
             rests_on=tuple(r.on for r in relied_on if r.name == name),
         )
         for name in names
@@ -478,9 +479,9 @@ def _slips(
     return (
         *stated_slips(specimen),
         *count_slips(measurement.size, len(constants)),
+        *bound_slips(constants.values()),
         *excess,
         *(() if is_named else reference_contradictions(specimen, determined, alone)),
-        *bound_slips(constants.values()),
         *reference_slips(specimen),
     )
 
@@ -548,7 +549,7 @@ def _constant(
     converged: bool,
 ) -> Constant:
     """A constant or size; explained : whether noise explains the misfit; converged : the chains."""
-    parameter, at_bound = posterior.parameters[name], marginal.bound is not None
+    parameter = posterior.parameters[name]
     return Constant(
         name=name,
         value=marginal.mean,
@@ -556,10 +557,9 @@ def _constant(
         interval=(marginal.q025, marginal.q975),
         prior=parameter.prior,
         reference=_reference(specimen, name),
-        verdict=verdict_of(marginal.sd, parameter.prior.sd, at_bound=at_bound, explained=explained)
+        verdict=verdict_of(marginal.sd, parameter.prior.sd, explained=explained)
         if converged
         else Verdict.UNCONVERGED,
-        bound=marginal.bound if name in specimen.unknowns else None,
         has_former_plate=parameter.coupled is not None,
     )
 

@@ -187,8 +187,7 @@ def _steps(result: SampledResult, use: Sequence[str]) -> tuple[str, ...]:
     first = (
         *((correction_step(result.texts()),) if result.explained_by else ()),
         *(_longer_chains(result) if result.status == "budget" else ()),
-        *(() if result.explained_by else mismatch),
-        *bounds_step(result.notices),
+        *(() if result.explained_by else (*bounds_step(result.notices), *mismatch)),
         diagnose_step(specimen),
     )
     if result.status == "budget":

@@ -105,7 +105,7 @@ def _marginal(c: Constant, m: Marginal) -> dict[str, Any]:
         "prior_contraction": m.contraction,
         "share_at_lower_bound": m.at_lower,
         "share_at_upper_bound": m.at_upper,
-        "bound": m.bound,
+        "bound": c.bound,
         "lower": prior.lower,
         "upper": prior.upper,
         "verdict": c.verdict.value,

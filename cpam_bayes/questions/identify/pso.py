@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, TypeVar, overload
 
@@ -41,6 +41,7 @@ from cpam_bayes.questions.identify.slips import (
     Slip,
     bound_slips,
     corrected_texts,
+    pushed,
     slip_records,
     slips_where_unreachable,
     with_slips,
@@ -318,6 +319,8 @@ def identify(
         estimate = watched(
             partial(estimate_constants, swarms=swarms), specimen, "identify", swarms * settings.iterations
         )
+    if residuals == "whitened":
+        estimate = replace(estimate, constants=tuple(map(pushed, estimate.constants)))
     misfit = estimate.noise if estimate.noise_is_inferred else estimate.rms
     n, k = len(estimate.predicted), len(estimate.constants)
     unsure = [Notice("angles_disagree")] if angles is not None and angles.swarm.status == "budget" else []
@@ -335,9 +338,9 @@ def identify(
     slips = (
         *stated_slips(specimen),
         *count_slips(n, k),
+        *bound_slips(estimate.constants),
         *(() if explained_by else reference_contradictions(specimen, determined, alone)),
         *excess,
-        *bound_slips(estimate.constants),
         *reference_slips(specimen),
     )
     return PointResult(
@@ -445,10 +448,10 @@ def _headline(result: PointResult) -> str:
 def _steps(result: PointResult, use: Sequence[str]) -> tuple[str, ...]:
     specimen = result.specimen
     plate = plate_argument(specimen)
-    steps = [*mismatch_step(specimen, result.notices, [row.label for row in result.frequencies])]
+    mismatch = mismatch_step(specimen, result.notices, [row.label for row in result.frequencies])
+    steps = [*bounds_step(result.notices), *mismatch]
     if result.explained_by:
         steps = [correction_step(result.texts())]
-    steps += bounds_step(result.notices)
     posterior = f"get the posterior of the constants.  cpam-bayes identify {plate} --backend emcee"
     if result.angles is None:
         steps += [diagnose_step(specimen), posterior]

@@ -54,6 +54,7 @@ from cpam_bayes.forward_model.model import (
     reference_vector,
 )
 from cpam_bayes.forward_model.preconditions import require_reachable
+from cpam_bayes.identification.point import verdict_of
 from cpam_bayes.identification.search import required
 from cpam_bayes.mechanics.modes import RigidBodyError
 from cpam_bayes.mechanics.ritz import RitzSettings, ritz_space
@@ -371,6 +372,27 @@ def _other_plates(specimen: Specimen) -> Iterator[tuple[SlipKind, Plate, dict[Ke
     for i in range(len(EDGES) if specimen.sensors else len(EDGES) // 2):
         edges = ALL_FREE[:i] + "C" + ALL_FREE[i + 1 :]
         yield "clamped", replace(plate, edges=edges), {("plate", "edges"): edges}
+
+
+# Standard deviations from a bound within which a 95 % interval ends if the density is highest there.
+_PUSHED: Final = 0.05
+
+
+def pushed(constant: Constant) -> Constant:
+    """A constant with the bound that the frequencies push it against, if any, and the verdict on it there.
+
+    constant : with the interval of a posterior, which no bound cuts
+    """
+    if constant.interval is None or constant.verdict is Verdict.UNCONVERGED:
+        return constant
+    (low, high), prior, reach = constant.interval, constant.prior, _PUSHED * constant.sd
+    at_lower, at_upper = low - prior.lower < reach, prior.upper - high < reach
+    bound: Literal["lower", "upper"] | None = None
+    if at_lower != at_upper:
+        bound = "lower" if at_lower else "upper"
+    explained = constant.verdict is not Verdict.MISFIT
+    verdict = verdict_of(constant.sd, prior.sd, explained=explained, at_bound=bound is not None)
+    return replace(constant, bound=bound, verdict=verdict)
 
 
 def bound_slips(constants: Iterable[Constant]) -> tuple[Notice, ...]:
