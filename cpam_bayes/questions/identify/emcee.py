@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, ClassVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,8 +79,6 @@ Array = NDArray[Any]
 
 # Fraction of the search interval next to a bound in which a draw counts as touching it.
 _TOUCH = 0.01
-# Fraction of touching draws from which the posterior is in contact with a bound.
-_AT_BOUND = 0.05
 # Probability, by its height, of a candidate peak that is reported if no mode takes it.
 _STANDING = 0.9
 # Draws over which predictions and laminate constants are averaged.
@@ -95,7 +93,6 @@ class Marginal:
 
     contraction : 1 - (sd / prior sd)^2
     at_lower, at_upper : shares of the draws within 1 % of the search interval of a bound
-    bound : the bound that the posterior touches; it matters whatever the contraction
     """
 
     mean: float
@@ -106,7 +103,6 @@ class Marginal:
     contraction: float
     at_lower: float
     at_upper: float
-    bound: Literal["lower", "upper"] | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -522,9 +518,6 @@ def _marginal(prior: Prior, draws: Array) -> Marginal:
         float(np.mean(draws < prior.lower + touch)),
         float(np.mean(draws > prior.upper - touch)),
     )
-    bound: Literal["lower", "upper"] | None = None
-    if max(at_lower, at_upper) > _AT_BOUND:
-        bound = "lower" if at_lower > at_upper else "upper"
     q025, median, q975 = (float(q) for q in np.quantile(draws, (0.025, 0.5, 0.975)))
     return Marginal(
         mean=float(draws.mean()),
@@ -535,7 +528,6 @@ def _marginal(prior: Prior, draws: Array) -> Marginal:
         contraction=1.0 - (sd / prior.sd) ** 2,
         at_lower=at_lower,
         at_upper=at_upper,
-        bound=bound,
     )
 
 

@@ -41,6 +41,7 @@ from cpam_bayes.questions.identify.slips import (
     Slip,
     bound_slips,
     corrected_texts,
+    pushed,
     slip_records,
     slips_where_unreachable,
     with_slips,
@@ -143,6 +144,7 @@ def identify_jointly(
             progress=shown.tick,
             notify=shown.notify,
         )
+    estimate = replace(estimate, constants=tuple(map(pushed, estimate.constants)))
     # no slips are tried for a list that fits by itself
     tried = [
         with_slips(_excess(fit), with_references(of), fit.alone, watch.announce, slips)

@@ -208,12 +208,11 @@ def _longer_chains(result: SampledResult) -> tuple[str, ...]:
 
 def _at_bounds(result: SampledResult) -> tuple[str, ...]:
     """A sentence for each constant whose posterior touches a bound of its prior."""
-    touching = ((name, result.marginals[name]) for name in result.constants)
+    touching = ((name, c.bound, result.marginals[name]) for name, c in result.constants.items() if c.bound)
     return tuple(
-        f"{name}: {100 * max(m.at_lower, m.at_upper):.0f} % of the draws lie at its {m.bound} bound; a wider "
+        f"{name}: {100 * max(m.at_lower, m.at_upper):.0f} % of the draws lie at its {bound} bound; a wider "
         "range would change it, and the other constants with it."
-        for name, m in touching
-        if m.bound is not None
+        for name, bound, m in touching
     )
 
 

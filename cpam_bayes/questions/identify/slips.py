@@ -397,12 +397,12 @@ def pushed(constant: Constant) -> Constant:
 
 def bound_slips(constants: Iterable[Constant]) -> tuple[Notice, ...]:
     """A notice of the constants that the frequencies push against a bound of their search interval."""
-    pushed = tuple(
+    bounds = tuple(
         (c.name, c.bound, c.prior.lower if c.bound == "lower" else c.prior.upper)
         for c in constants
         if c.bound is not None and c.verdict not in (Verdict.PRIOR, Verdict.UNCONVERGED)
     )
-    return (Notice("at_bound", "slip", {"bounds": pushed}),) if pushed else ()
+    return (Notice("at_bound", "slip", {"bounds": bounds}),) if bounds else ()
 
 
 def without_own_prior(constant: Constant) -> Constant:
