@@ -35,6 +35,12 @@ VERDICTS = {
     "determined by data and prior": AMBER,
     "determined by the prior": GREY,
 }
+# As the command says it.
+SAID = {
+    "determined by the data": "determined",
+    "determined by data and prior": "partly",
+    "determined by the prior": "not determined",
+}
 OPEN = VERDICTS["determined by the prior"]
 # Residuals beyond this are drawn at the edge, with their value.
 WIDEST = 6.0
@@ -175,8 +181,7 @@ def _estimate(name: str, constant: Mapping[str, Any]) -> str:
     if sd is None:
         return f"{value:.3g}{unit}\nsd not known"
     decimals = 0 if sd >= 10 else 1 if sd >= 1 else 2
-    verdict = constant["verdict"].replace("determined by", "determined\nby")
-    return f"{value:.{decimals}f} ± {sd:.{decimals}f}{unit}\n{verdict}"
+    return f"{value:.{decimals}f} ± {sd:.{decimals}f}{unit}\n{SAID[_verdict(constant)]}"
 
 
 # All plates
@@ -213,7 +218,7 @@ def _all_constants(axes: Axes, plates: list[dict[str, Any]]) -> None:
             ls="",
             color=colour,
             mfc="white" if colour == OPEN else colour,
-            label=verdict + (" or at a bound" if colour == OPEN else ""),
+            label=SAID[verdict] + (" or at a bound" if colour == OPEN else ""),
         )
         for verdict, colour in VERDICTS.items()
     ]

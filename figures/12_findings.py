@@ -27,8 +27,8 @@ def pictures(data: dict[str, Any]) -> list[Picture]:
             _all(groups),
             "The paper's plates and plates of spruce, diagnosed.",
             "Left: posterior probabilities. Right: rms residual of the plain model, with an arrow to that of "
-            "the extended model where a cause is claimed. Hatched: causes that leave more than half of the "
-            "misfit, counted as unknown errors.",
+            "the extended model where a cause is claimed. Hatched: causes beside which an "
+            "unknown error is claimed.",
         )
     ]
 
@@ -51,7 +51,7 @@ def _all(groups: list[dict[str, Any]]) -> Figure:
     for axes in (bars, fits):
         axes.spines["left"].set_visible(False)
         axes.tick_params(axis="y", length=0)
-    words = ("nothing wrong", "outside the catalogue", "most probable cause", "second", "third", "all others")
+    words = ("nothing wrong", "an unknown error", "most probable cause", "second", "third", "all others")
     colours = (*COLOURS.values(), *LEADING, REST)
     handles = [Patch(color=c, label=w) for w, c in zip(words, colours, strict=True)]
     new.legend(handles=handles, loc="outside upper center", ncols=len(handles))
@@ -78,7 +78,8 @@ def _bar(axes: Axes, row: int, group: dict[str, Any]) -> None:
         hatch = HATCH if explains_little else {}
         axes.barh(row, probability, left=left, color=colour, height=0.75, **hatch)
         if probability >= LETTER * len(cause) and cause not in COLOURS:
-            axes.text(left + 0.5 * probability, row, cause, ha="center", va="center", fontsize=7)
+            box = {"facecolor": colour, "edgecolor": "none", "pad": 1.0}
+            axes.text(left + 0.5 * probability, row, cause, ha="center", va="center", fontsize=7, bbox=box)
         left += probability
     axes.barh(row, 1.0 - left, left=left, color=REST, height=0.75)
 

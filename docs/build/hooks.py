@@ -22,6 +22,10 @@ _PROJECT = Path(__file__).parents[2]
 
 # ](../figures/x.png) in a page; the site has the same files under figures/
 _FIGURE_LINK = re.compile(r"(?<=\]\()\.\./(?=figures/[\w.]+\.png\))")
+# A figure with the title of its caption alone, between its marks
+_TITLED = re.compile(
+    r"(?P<link>!\[Figure\]\(\.\./figures/(?P<name>\w+)\.png\)\n\n)\*\*[^*]+\*\*\n\n(?=<!-- /figure -->)"
+)
 _EQUATION = re.compile(
     r'<(?P<tag>span|div) class="arithmatex">\\(?P<open>[(\[])(?P<latex>.*?)\\[)\]]</(?P=tag)>', re.DOTALL
 )
@@ -44,8 +48,13 @@ def on_files(files: Any, *, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Redirect links to figures to those of the site."""
-    return _FIGURE_LINK.sub("", markdown)
+    """Redirect links to figures to those of the site, and captions to figures with only a title."""
+    return _FIGURE_LINK.sub("", _TITLED.sub(_captioned, markdown))
+
+
+def _captioned(titled: re.Match[str]) -> str:
+    title, text, *_ = (_PROJECT / "figures" / f"{titled['name']}.md").read_text("utf-8").split("\n\n")
+    return f"{titled['link']}{title}\n{text}\n\n"
 
 
 def on_page_content(content: str, **_: Any) -> str:

@@ -267,7 +267,7 @@ GROUPS = {
     "two": HEADLINE,
     "list": HEADLINE,
     "bricks": BRICKS,
-    "beyond": "what no cause is",
+    "beyond": "outside the catalogue",
     "former": "what misled earlier versions",
     "strength": STRESS,
 }

@@ -146,19 +146,20 @@ def in_short(total: int, scores: Record, seal: Record, states: int = 1) -> str:
     states : number of states of the code that answered
     """
     n = int(scores["lists"])
-    answered = f"all {n}" if n == total else f"{n} of {total}"
-    (least, most), (_, wrong) = (
+    answered = str(n) if n == total else f"{n} of {total}"
+    (least, most), (_, allowed) = (
         [100.0 * end for end in seal["predictions"][what]] for what in (scoring.COVERED, scoring.WRONG_CLAIMS)
     )
-    too_sure = scoring.figure_of(scores, scoring.TOO_SURE)
+    too_sure, wrong = (scoring.figure_of(scores, what) for what in (scoring.TOO_SURE, scoring.WRONG_CLAIMS))
     low, high = too_sure["interval"]
-    by = f", by {states} code versions" if states > 1 else ""
+    by = f", by {states} versions" if states > 1 else ""
     said = (
-        f"**Blind test** ([simulated lists](docs/hidden_effects.md), {answered} answered{by}): 95 % "
-        f"intervals contain {_share(scores, scoring.COVERED)} constants of lists from priors ({least:.0f} to "
-        f"{most:.0f} % predicted), {_share(scores, scoring.COVERED_OF_BRICKS)} of bricks; "
-        f"{_counted(scores, scoring.WRONG_CLAIMS)} claims are wrong (at most {wrong:.0f} % predicted). "
-        f"Stated probabilities are {too_sure['value']:.2f} ({low:.2f} to {high:.2f}) too high."
+        f"**Blind test** ([{answered} simulated lists](docs/hidden_effects.md){by}): 95 % intervals contain "
+        f"{_share(scores, scoring.COVERED)} constants of lists from priors ({least:.0f} to {most:.0f} % "
+        f"predicted), {_share(scores, scoring.COVERED_OF_BRICKS)} of bricks; {_count(wrong)} of "
+        f"{too_sure['number']} claims are wrong, {100.0 * wrong['value']:.0f} % of the lists (at most "
+        f"{allowed:.0f} % predicted). Stated probabilities are {too_sure['value']:.2f} ({low:.2f} to "
+        f"{high:.2f}) too high."
     )
     ways = "; ".join(_way(row, scores["wrong"]) for row in scores["misled"][:3])
     return "\n".join(paragraph(point, "- ") for point in (said, f"**Failures**: {ways}."))
@@ -167,11 +168,6 @@ def in_short(total: int, scores: Record, seal: Record, states: int = 1) -> str:
 def _share(scores: Record, what: str) -> str:
     row = scoring.figure_of(scores, what)
     return f"{100.0 * (row['value'] or 0.0):.0f} % of {row['number']}"
-
-
-def _counted(scores: Record, what: str) -> str:
-    row = scoring.figure_of(scores, what)
-    return f"{_count(row)} of {row['number']}"
 
 
 def _way(row: Record, wrong: Sequence[Record]) -> str:
