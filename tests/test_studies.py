@@ -20,7 +20,7 @@ SAVED = PROJECT / "studies" / "results"
 STUDIES = sorted(path.stem for path in (PROJECT / "studies").glob("[0-9]*.py"))
 AGREEMENT = "02_agreement"
 # over ten CPU seconds
-LONG = ("05", "07", "08", "09", "12", "14", "15", "21", "23", "24", "26", "27", "29")
+LONG = ("05", "07", "08", "09", "12", "14", "15", "21", "23", "24", "26", "27", "29", "30", "31")
 CASES = "17_worked_cases"
 
 

@@ -9,7 +9,6 @@ from typing import Any
 from validation.claims import scoring
 from validation.claims.scoring import (
     ABOVE,
-    CATEGORIES,
     CLASS_SIZE,
     GROUPS,
     LIMIT_CHANCE,
@@ -45,18 +44,12 @@ def section(
     rows = [_figure(row, predictions.get(row["what"])) for row in scores["figures"] if row["number"]]
     lines += ["", markdown_table(("", "predicted", "reached", "95 % interval", "of", "outcome"), rows)]
     lines += ["", _coverage_table(scores["coverage"])]
-    others = [row for row in scores["by_kind"] if row["what"] != GROUPS["beyond"]]
-    lines += ["", *answered_by(engines), "", _confusion_table("what is hidden", others)]
-    if scores["by_ratio"]:
-        lines += ["", _confusion_table("signal to noise of one cause", scores["by_ratio"])]
+    lines += ["", *answered_by(engines), "", _class_size(scores["by_kind"])]
     # lists like those that misled earlier versions were drawn again and more often, in study 30
     unknown = [row for row in scores["by_pattern"] if row["of"] == GROUPS["beyond"]]
     if unknown:
         lines += ["", pattern_table("outside the catalogue", unknown)]
     lines += beside
-    if scores["misled"]:
-        ways = (f"{row['way']}{_between(row)} {row['number']} of {row['of']}" for row in scores["misled"])
-        lines += ["", f"How it was misled, by signal to noise: {'; '.join(ways)}."]
     if scores["wrong"]:
         lines += ["", "Wrong claims:", "", _wrong_claims(scores["wrong"])]
     return "\n".join([*lines, ""])
@@ -191,12 +184,6 @@ def _called(hidden: Sequence[str], claimed: Sequence[str]) -> str:
     return f"{listed(_code(hidden)) or 'nothing'} called {called}"
 
 
-def _between(row: Record) -> str:
-    if row["way"] != scoring.MISSED:
-        return ","
-    return f" from {row['from']:g} to {row['below']:g}," if row["below"] else f" from {row['from']:g},"
-
-
 def _coverage_table(coverage: Mapping[str, Record]) -> str:
     """Table of the fractions of constants in their 95 % intervals, by kind of list and by constant."""
     kinds = {name: row for name, row in coverage.items() if row["constants"]}
@@ -232,13 +219,12 @@ def _wrong_claims(wrong: Sequence[Record]) -> str:
     )
 
 
-def _confusion_table(what: str, rows: Sequence[Record]) -> str:
-    shown = ("lists", *(c for c in CATEGORIES if any(r[c] for r in rows)))
-    sizes = ("-" if r[CLASS_SIZE] is None else f"{r[CLASS_SIZE]:.1f}" for r in rows)
-    return markdown_table(
-        (what, *shown, f"{CLASS_SIZE}, of right claims"),
-        [(r["what"].strip(), *(str(r[c]) for c in shown), size) for r, size in zip(rows, sizes, strict=True)],
-    )
+def _class_size(rows: Sequence[Record]) -> str:
+    """Sentence on how many causes a claim that is right names."""
+    right = [(row[RIGHT], row[CLASS_SIZE]) for row in rows if row[RIGHT]]
+    number = sum(n for n, _ in right)
+    mean = sum(n * size for n, size in right) / max(number, 1)
+    return f"The {number} claims that are right name {mean:.1f} causes on average."
 
 
 def pattern_table(what: str, rows: Sequence[Record]) -> str:
