@@ -22,13 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.calculix.run import solve_modes
-from cpam_bayes.plate import read_plate
-from cpam_bayes.plate.laminate import MaterialSymmetry, complete_constants
 from cpam_bayes.render.report import Heading, Table
 from cpam_bayes.render.terminal import screen_text
+from validation import brick_lists
 from validation.claims import fresh, scoring
 from validation.independent import drawn
-from validation.independent.lists import FURTHER, IN_FILE, NominalPlate, Truth, written
+from validation.independent.lists import FURTHER, NominalPlate, Truth, written
 from validation.independent.true_plate import TruePlate
 from validation.reporting import Results, case_by_case, cases_main, markdown_table, paragraph
 
@@ -92,19 +91,7 @@ def good_bricks(number: int, seed: int) -> Results:
 
 def brick_frequencies(nominal: NominalPlate, true: TruePlate) -> Array:
     """Frequencies of the list and FURTHER modes, extrapolated from two meshes of bricks, Hz."""
-    kind: MaterialSymmetry = "isotropic" if nominal.material == "aluminium" else "transversely_isotropic"
-    sizes = {f"{side}_mm": 1e3 * getattr(true, side) for side in ("length", "width", "thickness")}
-    plate = {"density_kg_m3": true.density, "layup": nominal.layup, "edges": true.edges}
-    named = {IN_FILE[name]: value for name, value in true.constants.items()}
-    material = {key: value / unit for (key, unit), value in named.items()}
-    specimen = read_plate(
-        {
-            "name": "bricks",
-            "plate": {**sizes, **plate},
-            "material": {"isotropic": kind == "isotropic", **material},
-        }
-    )
-    constants = {n: float(v) for n, v in complete_constants(dict(true.constants), kind).items()}
+    specimen, constants = brick_lists.specimen_of(nominal, true)
     n = nominal.n_modes + FURTHER
     rough, fine = (solve_modes(specimen, constants, n, in_plane=m).frequencies for m in MESHES)
     return np.asarray(fine - (rough - fine) / 3.0)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cpam_bayes.forward_model.calculix.run import CalculixError
-from cpam_bayes.plate import read_plate
+from cpam_bayes.plate import Specimen, read_plate
 from cpam_bayes.plate.laminate import MaterialSymmetry, complete_constants
 from validation.bricks import Flaws, Heat, Mass, Notch, Patch, Springs, extrapolated_frequencies
 from validation.independent.drawn import has_bench, is_stated, signed
@@ -146,8 +146,8 @@ def _made(
     return written(nominal, frequencies(nominal, true, flaws), truth, rng)
 
 
-def frequencies(nominal: NominalPlate, true: TruePlate, flaws: Flaws) -> Array:
-    """Frequencies of the bricks, extrapolated from two meshes, of the list and FURTHER modes, Hz."""
+def specimen_of(nominal: NominalPlate, true: TruePlate) -> tuple[Specimen, dict[str, float]]:
+    """The true plate without a flaw, and all its constants, Pa."""
     size = {f"{side}_mm": 1e3 * getattr(true, side) for side in ("length", "width", "thickness")}
     named = {IN_FILE[name]: value for name, value in true.constants.items()}
     kind: MaterialSymmetry = "isotropic" if nominal.material == "aluminium" else "transversely_isotropic"
@@ -167,7 +167,12 @@ def frequencies(nominal: NominalPlate, true: TruePlate, flaws: Flaws) -> Array:
         }
     )
     whole = complete_constants(dict(true.constants), kind)
-    constants = {name: float(value) for name, value in whole.items()}
+    return specimen, {name: float(value) for name, value in whole.items()}
+
+
+def frequencies(nominal: NominalPlate, true: TruePlate, flaws: Flaws) -> Array:
+    """Frequencies of the bricks, extrapolated from two meshes, of the list and FURTHER modes, Hz."""
+    specimen, constants = specimen_of(nominal, true)
     n = nominal.n_modes + FURTHER
     try:
         return extrapolated_frequencies(specimen, constants, n, flaws, _COARSE, _FINE)

@@ -45,7 +45,7 @@ def section(
     lines += ["", markdown_table(("", "predicted", "reached", "95 % interval", "of", "outcome"), rows)]
     lines += ["", _coverage_table(scores["coverage"])]
     lines += ["", *answered_by(engines), "", _class_size(scores["by_kind"])]
-    # lists like those that misled earlier versions were drawn again and more often, in study 30
+    # lists like those that misled earlier versions were drawn anew in study 30
     unknown = [row for row in scores["by_pattern"] if row["of"] == GROUPS["beyond"]]
     if unknown:
         lines += ["", pattern_table("outside the catalogue", unknown)]
