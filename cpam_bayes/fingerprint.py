@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Final
@@ -27,22 +27,31 @@ _WORDS: Final = re.compile(
 )
 
 
+def text_of(file: Path) -> str:
+    """The text of a source file."""
+    return file.read_text(encoding="utf-8")
+
+
 @cache
-def fingerprint(module: str) -> str:
+def fingerprint(module: str, read: Callable[[Path], str] = text_of) -> str:
     """The first twelve hexadecimal digits of a SHA-256 over the sources of a module and of all it imports.
 
-    module : full name in this package
+    module : full name in this package. read : gives the text of a source file
     """
-    return _hash(sources_of(_imports_of(_file(module)), [_file(module)]))
+    return _hash(sources_of(_imports_of(_file(module)), [_file(module)]), read)
 
 
-def fingerprint_of_script(script: Path, public: Mapping[str, str]) -> str:
+def fingerprint_of_script(
+    script: Path, public: Mapping[str, str], read: Callable[[Path], str] = text_of
+) -> str:
     """Fingerprint of what a script outside the package imports from it, without the script itself.
 
     public : public name of the package -> the module that holds it; a script calls them as cb.NAME
+    read : gives the text of a source file
     """
-    called = re.findall(r"\bcb\.(\w+)", script.read_text(encoding="utf-8"))
-    return _hash(sources_of([*_imports_of(script), *(public[name] for name in called if name in public)], []))
+    called = re.findall(r"\bcb\.(\w+)", text_of(script))
+    modules = [*_imports_of(script), *(public[name] for name in called if name in public)]
+    return _hash(sources_of(modules, []), read)
 
 
 def sources_of(modules: Iterable[str], start: Iterable[Path | None]) -> list[Path]:
@@ -63,11 +72,11 @@ def _room(file: Path) -> str:
     return file.relative_to(_PACKAGE).parts[0].removesuffix(".py")
 
 
-def _hash(files: Iterable[Path]) -> str:
+def _hash(files: Iterable[Path], read: Callable[[Path], str]) -> str:
     digest = hashlib.sha256()
     for file in files:
         digest.update(file.relative_to(_PACKAGE).as_posix().encode())
-        digest.update(without_words(file.read_text(encoding="utf-8")).encode())
+        digest.update(without_words(read(file)).encode())
     return digest.hexdigest()[:_DIGITS]
 
 

@@ -37,8 +37,7 @@ def aluminium_case(name: str = "plate 7") -> PlateCase:
 
 def listed(case: PlateCase, factor: np.ndarray, noise: np.ndarray = DRAWN) -> PlateCase:
     """The case with its model's list times (n,) factors, with noise."""
-    x = np.array([[69e9, 0.33]])
-    f = case.models.bare.predict(x).frequencies[0, : len(factor)]
+    f = case.models.bare.predict(np.array([[69e9, 0.33]])).frequencies[0, : len(factor)]
     measured = np.round(f * factor * (1.0 + NOISE * noise), 1)
     return replace(case, measurement=replace(case.measurement, frequencies=measured, resolution=0.1))
 

@@ -155,10 +155,21 @@ def test_cases_keep_the_fingerprint_that_they_were_computed_with_or_are_of_unkno
 
 def test_a_study_that_names_what_computes_its_cases_is_of_the_state_of_that():
     named = "cpam_bayes.questions.paper.work"
-    assert fingerprint_of_study("19_paper") == fingerprint(named)
+    assert fingerprint_of_study("19_paper") == fingerprint(named, fingerprints.as_computed)
     # judging and display are no part of it
     of_the_paper = {f.stem for f in sources_of([named], []) if f.parent.name == "paper"}
     assert of_the_paper == {"work", "layups", "rows"}
+
+
+def test_a_change_that_is_listed_as_equivalent_is_taken_back_as_long_as_it_is_there(tmp_path, monkeypatch):
+    change = '[[change]]\nfile = "fingerprint.py"\nlines = [["x = 1\\n", "_DIGITS: Final = {}\\n"]]\n'
+    changes, source = tmp_path / "changes.toml", PROJECT / "cpam_bayes" / "fingerprint.py"
+    monkeypatch.setattr(fingerprints, "CHANGES", changes)
+    changes.write_text(change.format(12))
+    assert "\nx = 1\n" in fingerprints.as_computed.__wrapped__(source)
+    changes.write_text(change.format(13))
+    with pytest.raises(ValueError, match="no longer holds"):
+        fingerprints.as_computed.__wrapped__(source)
 
 
 def test_a_study_depends_on_what_it_takes_from_validation(tmp_path, monkeypatch):

@@ -50,6 +50,8 @@ _COUPLED_LAYERS = ((1, False), (1, True), (2, True), (3, True))
 _THRESHOLDS = 10.0 ** np.arange(-7.0, -4.0, 0.25)
 _MAX_LAYERS = 3
 _MAX_CORNER_LAYERS = 3
+# Stands for the error of a space in which rounding hides the rigid-body motions of a very thin plate.
+_UNUSABLE = 1e9
 
 
 def default_tolerance(problem: Problem) -> Tolerance:
@@ -185,7 +187,10 @@ def _grow(
     current, level = RitzSettings(start, start, *ladder[0]), 0
 
     def error(settings: RitzSettings, which: Array) -> Array:
-        frequencies = _sampled_frequencies(problem, _some(samples, which), settings, n_modes)
+        try:
+            frequencies = _sampled_frequencies(problem, _some(samples, which), settings, n_modes)
+        except RigidBodyError:
+            return np.full(len(which), _UNUSABLE)
         return np.asarray(np.max(frequencies / reference[which] - 1.0, axis=1) / allowed[which, 0])
 
     everywhere = np.arange(len(reference))

@@ -6,6 +6,9 @@ judges and shows them is then not part of the fingerprint.
 A row of a study's results keeps the fingerprint of the code that computed it under "fingerprint". `LEDGER`
 has one per study: today's if all rows have it, or if none has any and all were computed at once; else the
 first of another state. Rows saved without one get what is recorded for their study, "unknown" if nothing is.
+
+`CHANGES` lists changes of the package's sources that can change no saved number, each with the reason; they
+are taken back before a fingerprint is made.
 """
 
 from __future__ import annotations
@@ -15,16 +18,18 @@ import hashlib
 import json
 import re
 import sys
+import tomllib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
 import cpam_bayes
-from cpam_bayes.fingerprint import fingerprint, fingerprint_of_script
+from cpam_bayes.fingerprint import fingerprint, fingerprint_of_script, text_of, without_words
 
 STUDIES: Final = Path(__file__).parents[1]
 LEDGER = STUDIES / "results" / "fingerprints.json"
+CHANGES = STUDIES / "equivalent_changes.toml"
 KEY: Final = "fingerprint"
 UNKNOWN: Final = "unknown"
 
@@ -42,10 +47,27 @@ def fingerprint_of_study(name: str) -> str:
     """
     named = _COMPUTED_BY.search((STUDIES / f"{name}.py").read_text("utf-8"))
     if named:
-        return fingerprint(named[1])
+        return fingerprint(named[1], as_computed)
     scripts = _scripts(STUDIES / f"{name}.py")
-    found = {fingerprint_of_script(script, cpam_bayes._PUBLIC) for script in scripts}
+    found = {fingerprint_of_script(script, cpam_bayes._PUBLIC, as_computed) for script in scripts}
     return "+".join(sorted(found - {_OF_NOTHING}))
+
+
+@cache
+def as_computed(file: Path) -> str:
+    """The code of a source file without the changes of `CHANGES`.
+
+    Raises ``ValueError`` where a change is not in the file as it is listed: then it is no longer the one that
+    was found equivalent.
+    """
+    text = without_words(text_of(file))
+    for change in tomllib.loads(text_of(CHANGES))["change"]:
+        if file == Path(cpam_bayes.__file__).parent / change["file"]:
+            for was, now in change["lines"]:
+                if text.count(now) != 1:
+                    raise ValueError(f"{change['file']} no longer holds a change listed in {CHANGES.name}")
+                text = text.replace(now, was)
+    return text
 
 
 def remember(script: Path) -> None:

@@ -173,8 +173,7 @@ def test_springs_along_an_edge_have_the_effect_that_they_have_with_ritz(edge: st
 
 
 def test_functions_are_found_at_any_point_and_are_zero_off_the_plate(tmp_path: Path) -> None:
-    problem = plate(0.2, 0.15, 0.01, 1600.0, CARBON)
-    space = curved(tmp_path, problem, 9)
+    space = curved(tmp_path, plate(0.2, 0.15, 0.01, 1600.0, CARBON), 9)
     inside = np.random.default_rng(3).random((50, 2))
     points = np.concatenate((inside, [[0.0, 0.0], [1.0, 1.0], [1.2, 0.5], [-0.1, 0.5]]))
     x, y = space.basis.doflocs

@@ -83,8 +83,7 @@ def test_masses_in_air_are_those_of_all_matrices() -> None:
 
 def test_fewer_terms_and_functions_and_a_basis_leave_the_same_matrices() -> None:
     model = model_of("CFFF", "several")
-    x = sets_of(model.operator.problem)
-    coefficients = model.coefficients(x)
+    coefficients = model.coefficients(sets_of(model.operator.problem))
     block = loaded_blocks_of(model)[-1]
     rng = np.random.default_rng(1)
     basis = rng.normal(size=(block.size, 12))
@@ -98,8 +97,7 @@ def test_fewer_terms_and_functions_and_a_basis_leave_the_same_matrices() -> None
     for found, expected in zip(block.diagonals(), block.dense().diagonals(), strict=True):
         np.testing.assert_allclose(found, expected)
     keep = rng.uniform(size=sum(b.size for b in model.operator.blocks)) < 0.9
-    less = restricted(model.operator, keep)
-    joined = next(b for b in less.blocks if isinstance(b, LoadedBlock))
+    joined = next(b for b in restricted(model.operator, keep).blocks if isinstance(b, LoadedBlock))
     of_less = restricted(with_all_matrices(model).operator, keep)
     whole = next(b for b in of_less.blocks if np.array_equal(b.index, joined.index))
     np.testing.assert_allclose(joined.mass_at(coefficients[1][0]), whole.mass_at(coefficients[1][0]))
@@ -129,7 +127,6 @@ def test_a_mass_in_the_middle_and_many_masses_join_no_parts() -> None:
 
 
 def test_parts_of_all_blocks_hold_each_function_once() -> None:
-    model = model_of("SSSS", "centred")
-    parts = symmetry_parts(model.operator)
+    parts = symmetry_parts(model_of("SSSS", "centred").operator)
     assert sorted(parts.index) == list(range(parts.size))
     assert parts.rows.shape == (parts.inertia.shape[1], parts.size)

@@ -222,8 +222,7 @@ def test_what_is_found_is_what_a_look_at_all_finds(layup: str) -> None:
 
 
 def row_of(found: StackingPosterior, angles: list[float]) -> int:
-    grid = found.grid_deg.tolist()
-    return int(found.classes_of(np.array([[grid.index(a) for a in angles]]))[0])
+    return int(found.classes_of(np.array([[found.grid_deg.tolist().index(a) for a in angles]]))[0])
 
 
 @pytest.mark.slow

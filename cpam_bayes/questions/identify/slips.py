@@ -218,10 +218,12 @@ def explaining_slips(specimen: Specimen) -> tuple[Slip, ...]:
         evidence,
         lambda name: misfit_probability(by_name[name][0].marginal) > CLAIM_RULES.explained,
     )
-    found = [(name, by_name[name][0].named) for name in claim.causes]
+    # of slips that are equally probable, the one tried first
+    tried = sorted(claim.causes, key=[w.name for w in weighed].index)
+    found = [(name, by_name[name][0].named) for name in tried]
     slips = [replace(slip, probability=probability[name]) for name, slip in found if slip is not None]
     is_claimed = claim.kind in ("named", "class") and len(found) == len(slips) <= _MOST
-    return tuple(sorted(slips, key=lambda slip: -slip.probability)) if is_claimed else ()
+    return tuple(sorted(slips, key=lambda slip: -round(slip.probability, 3))) if is_claimed else ()
 
 
 def _of_list(specimen: Specimen, share: float) -> Iterator[_Weighed]:

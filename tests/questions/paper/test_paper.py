@@ -182,7 +182,8 @@ def assert_same(found, expected):
         for key in keys:
             assert_same(found[key], expected[key])
     elif isinstance(expected, float):
-        assert found == pytest.approx(expected, rel=1e-8)
+        # frequencies of C3 differ by 2e-8 between two processors: rounding times (length / thickness)^4
+        assert found == pytest.approx(expected, rel=1e-6)
     else:
         assert found == expected
 
@@ -213,8 +214,7 @@ def document():
 def test_the_saved_document_is_that_of_the_package_with_every_printed_value(document):
     """Its page is compared with docs/comparison.md in tests/test_pages.py."""
     again = json.loads(json.dumps(of_the_package(NUMBERS).to_dict()))
-    state = {"fingerprint": document["fingerprint"]}
-    assert again | state == document, "run studies/19_paper.py --page"
+    assert_same(again | {"fingerprint": document["fingerprint"]}, document)  # run studies/19_paper.py --page
     assert not document["quick"]
     assert len(document["rows"]) == 474  # every printed value of tests/printed/test_tables.py
     assert (PROJECT / "docs" / "comparison.csv").read_text("utf-8") == csv_text(row_table(document))
@@ -271,8 +271,7 @@ def isotropic(frequencies, **unknowns):
 
 @pytest.fixture(scope="module")
 def frequencies():
-    plate = isotropic([100.0], E1_GPa=[50.0, 90.0])
-    return cb.forward(plate, n_modes=6).frequencies.tolist()
+    return cb.forward(isotropic([100.0], E1_GPa=[50.0, 90.0]), n_modes=6).frequencies.tolist()
 
 
 def test_frequencies_grow_as_the_root_of_the_modulus(frequencies):
