@@ -15,7 +15,7 @@ from contextlib import contextmanager, nullcontext, suppress
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TextIO
+from typing import TYPE_CHECKING, Any, Final, NoReturn, TextIO
 
 from cpam_bayes import __version__
 from cpam_bayes.command import STATUS_TEXT, Command
@@ -122,7 +122,9 @@ def _finish(
                 not_saved = error
     except KeyboardInterrupt:
         if store is not None and any(Path(store).glob("*")):
-            print(f"finished rounds are kept in {store}: the same command resumes there", file=sys.stderr)
+            print(f"what was finished is kept in {store}: the same command resumes there", file=sys.stderr)
+        elif store is None and hasattr(args, "store"):
+            print("nothing was kept; with --store DIR the same command would resume", file=sys.stderr)
         raise
     except LinAlgError as error:  # a ValueError too, and no fault of the input
         print(f"error: a plate model cannot be solved, please report it: {error}", file=sys.stderr)
@@ -222,7 +224,14 @@ def _write(text: str, stream: TextIO) -> None:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser that raises ``OSError`` where help or version cannot be written; argparse ignores that."""
+    """A parser that raises ``OSError`` where help or version cannot be written; argparse ignores that.
+
+    What it refuses is said in one line, without the usage.
+    """
+
+    def error(self, message: str) -> NoReturn:
+        """Leave with what is wrong, and where the options are listed."""
+        self.exit(BAD_INPUT, f"error: {message} (see {self.prog} --help)\n")
 
     def print_help(self, file: Any = None) -> None:
         """Write the help, by default to standard output."""

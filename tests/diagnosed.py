@@ -49,5 +49,4 @@ def clean() -> Diagnosis:
 
 @cache
 def misread() -> Diagnosis:
-    causes = ["outlier", "viscoelastic", "frequency_scale"]
-    return diagnosed([listed(aluminium_case(), MISREAD)], causes)
+    return diagnosed([listed(aluminium_case(), MISREAD)], ["outlier", "viscoelastic", "frequency_scale"])

@@ -57,8 +57,7 @@ def grid(s: np.ndarray, t: np.ndarray, f: Map, order: int = 1, *, closed: bool =
     cells = nodes(*ends, *middles)
 
     def line(along: np.ndarray) -> np.ndarray:
-        parts = [along[:-1:order], along[order::order], along[1::order]][: order + 1]
-        return np.stack(parts, axis=-1)
+        return np.stack([along[:-1:order], along[order::order], along[1::order]][: order + 1], axis=-1)
 
     lines = {"x0": number[0], "y0": number[:, 0], "x1": number[-1], "y1": number[:, -1]}
     return Quads(np.stack((x, y, np.zeros_like(x)), axis=-1), cells, {k: line(v) for k, v in lines.items()})

@@ -270,8 +270,8 @@ def test_an_answer_that_a_full_disk_does_not_take_is_said_to_be_lost(buffered, a
     assert (status, err) == (1, said)
 
 
-@pytest.mark.parametrize("finished", [True, False])
-def test_an_interrupted_run_with_a_store_says_how_to_go_on(finished, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("finished", [True, False, None])
+def test_an_interrupted_run_says_how_to_go_on_or_could(finished, tmp_path, monkeypatch, capsys):
     def interrupted(*args, **options):
         raise KeyboardInterrupt
 
@@ -279,9 +279,10 @@ def test_an_interrupted_run_with_a_store_says_how_to_go_on(finished, tmp_path, m
     if finished:
         (tmp_path / "round_0000.h5").touch()
     with pytest.raises(KeyboardInterrupt):
-        main([*EMCEE.split(), "--store", str(tmp_path)])
-    said = f"finished rounds are kept in {tmp_path}: the same command resumes there\n"
-    assert capsys.readouterr().err == (said if finished else "")
+        main([*EMCEE.split(), *([] if finished is None else ["--store", str(tmp_path)])])
+    kept = f"what was finished is kept in {tmp_path}: the same command resumes there\n"
+    nothing = "nothing was kept; with --store DIR the same command would resume\n"
+    assert capsys.readouterr().err == {True: kept, False: "", None: nothing}[finished]
 
 
 @pytest.mark.parametrize(("argv", "line", "number"), INTERRUPTED)

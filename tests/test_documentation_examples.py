@@ -17,7 +17,7 @@ import yaml
 import cpam_bayes as cb
 from cpam_bayes.cli import COMMANDS, _asked
 from cpam_bayes.documents import DOCUMENTS, json_schema
-from docs.build.examples import ExampleError, check, run_block
+from docs.build.examples import ExampleError, _alike, check, run_block
 from tests.browser import open_browser
 from tests.test_studies import script
 
@@ -50,6 +50,11 @@ def test_the_examples_of_a_page_run_and_print_what_it_says(page, tmp_path, monke
     """To rewrite the outputs: ``python docs/build/examples.py PAGE``."""
     monkeypatch.setattr(matplotlib, "rcParams", matplotlib.rcParams.copy())
     assert check(page, tmp_path) > 0
+
+
+def test_a_sampled_mean_may_differ_by_a_twentieth_of_its_standard_deviation():
+    texts = ("5.44 +- 0.54 g", "5.45 +- 0.54 g", "5.44 g +- 0.54 g")
+    assert [_alike(f"5.42{text[4:]}", text) for text in texts] == [True, False, False]
 
 
 @pytest.mark.parametrize(("documented", "is_the_same"), [*SAME.items(), *OTHER.items()])

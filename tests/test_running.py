@@ -235,8 +235,7 @@ def test_a_stack_is_shared_out_but_by_workers_with_the_answer_of_a_thread(two_th
         running.matrix_by_matrix(counted, matrices)
     assert {name for _, name in shares} == {current_thread().name}
     shares.clear()
-    found = running.matrix_by_matrix(counted, matrices)
-    np.testing.assert_array_equal(found, np.linalg.eigvalsh(matrices))
+    np.testing.assert_array_equal(running.matrix_by_matrix(counted, matrices), np.linalg.eigvalsh(matrices))
     sizes, names = zip(*shares, strict=True)
     assert sorted(sizes) == [33, 34, 34]
     assert len(set(names)) > 1

@@ -207,10 +207,11 @@ def fit_sentence(
     fit = f"Fit {_percent(rms)} %"
     if stated is not None:
         level = _level(stated, measurement)
+        if rms <= _AS_GOOD * stated:
+            far = "" if explained else ", but only far from stated sizes or constants"
+            return f"{fit}, as good as {level}{far}."
         if not explained:
             return f"{fit}, worse than {level}."
-        if rms <= _AS_GOOD * stated:
-            return f"{fit}, as good as {level}."
         return f"{fit}, {significant(rms / stated, 2)} times {level}."
     if inferred is not None and math.isfinite(inferred):
         high = ", high for a tap test" if inferred > USUAL_NOISE else ""

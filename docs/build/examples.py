@@ -39,6 +39,7 @@ _TITLE = re.compile(r'title="(?P<added>added to )?(?P<name>[^"]+)"')
 # Durations, and rates per second, differ from run to run.
 _TIMES = re.compile(r"\d[\d.]*(?= s\b)|\d+(?= effective samples a second)|\d+(?= in all$)")
 _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+_SPREAD = re.compile(r" \+- (\d+(?:\.\d+)?)")
 _OTHERS = "..."
 _WIDTH = 100
 
@@ -236,11 +237,22 @@ def _picture(session: _Session, match: re.Match[str], write_it: bool) -> str:
 
 
 def _alike(documented: str, now: str) -> bool:
-    """Whether two texts differ only in durations and in the last digits of numbers."""
+    """Whether two texts differ only in durations and in the last digits of numbers.
+
+    The mean of a sampled quantity, written with its standard deviation, may differ by a twentieth of that:
+    on another processor rounding draws other samples.
+    """
     old, new = (_TIMES.sub("0", _spaced(text)) for text in (documented, now))
     if _NUMBER.sub("0", old) != _NUMBER.sub("0", new):
         return False
-    return all(_near(a, b) for a, b in zip(_NUMBER.findall(old), _NUMBER.findall(new), strict=True))
+    pairs = zip(_NUMBER.finditer(old), _NUMBER.finditer(new), strict=True)
+    return all(_near(a[0], b[0], _spread_after(old[a.end() :])) for a, b in pairs)
+
+
+def _spread_after(text: str) -> float:
+    """The standard deviation with which a text goes on, 0 if it does not."""
+    found = _SPREAD.match(text)
+    return float(found[1]) if found else 0.0
 
 
 def _spaced(text: str) -> str:
@@ -248,12 +260,12 @@ def _spaced(text: str) -> str:
     return re.sub(r"[ ─━]+", " ", text)
 
 
-def _near(documented: str, now: str) -> bool:
-    """Whether two numbers differ by at most one unit of the last digit, which rounding decides."""
+def _near(documented: str, now: str, sd: float) -> bool:
+    """Whether two numbers differ by at most one unit of the last digit, or by sd / 20: rounding decides."""
     (decimals, exponent), others = _last_digit(documented), _last_digit(now)
     if (decimals, exponent) != others:
         return False
-    return abs(float(documented) - float(now)) < 1.5 * 10.0 ** (exponent - decimals)
+    return abs(float(documented) - float(now)) < max(1.5 * 10.0 ** (exponent - decimals), sd / 20.0)
 
 
 def _last_digit(number: str) -> tuple[int, int]:

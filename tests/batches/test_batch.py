@@ -349,6 +349,12 @@ def test_an_unforeseen_error_is_a_row_and_files_that_contradict_themselves_are_n
     assert result.report().summary.headline.startswith("0 of 1 ")
     with pytest.raises(ValueError, match="a folder without plate files"):
         cb.batch(tmp_path)
+    for name in ("b.toml", "a.toml"):
+        (tmp_path / name).write_text("")
+    found = cb.batch(str(tmp_path / "?.toml"))
+    assert [row.file[-6:] for row in found.rows] == ["a.toml", "b.toml"]
+    with pytest.raises(ValueError, match="no file matches"):
+        cb.batch("A1", str(tmp_path / "*.nothing"))
 
 
 @pytest.mark.slow

@@ -178,8 +178,7 @@ def test_shapes_halfway_between_two_modes_leave_both_pairings_equal_and_one_like
 def test_the_weight_of_a_pairing_is_that_of_its_assurances_with_the_directions_that_nodes_tell_apart(shapes):
     """Against all permutations, with (0.02 + 1 - MAC)^(-(d - 1)/2) and d = 8 orthogonal shapes."""
     rotation = np.linalg.qr(2.0 * np.eye(3) + special_ortho_group(3, seed=4).rvs())[0]
-    mixed = np.vstack((rotation @ shapes[:3], shapes[5:7]))
-    found = paired(mixed, shapes)
+    found = paired(np.vstack((rotation @ shapes[:3], shapes[5:7])), shapes)
     assert found.directions == pytest.approx(K)
     weight = (1.02 - found.assurance) ** (-0.5 * (K - 1)) * (found.assurance >= 0.3)  # below 0.3: no mode
     p = np.zeros((5, K))

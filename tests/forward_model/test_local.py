@@ -227,8 +227,7 @@ def test_a_change_anywhere_moves_the_modes_as_it_moves_the_full_plate(form: str,
     place = {p.name: float(p.prior.mean) for p in anywhere.coordinates} | {along: 0.31, across: 0.22}
     added = np.array([place.get(p.name, size) for p in anywhere.parameters])
     problem = extend(full.operator.problem, anywhere.fixed(place), plate_of("C1").facts)
-    sized = np.column_stack((x, np.full(len(x), size)))
-    expected = with_terms(full, problem, sized)
+    expected = with_terms(full, problem, np.column_stack((x, np.full(len(x), size))))
     on_own = changed_on_modes(on_modes(full, x.mean(axis=0)), anywhere)
     found = on_own.predict(np.column_stack((x, np.tile(added, (len(x), 1))))).frequencies
     moved = np.log(expected / full.predict(x).frequencies)

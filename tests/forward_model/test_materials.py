@@ -73,8 +73,7 @@ def test_a_deck_has_a_card_for_each_material(tmp_path: Any) -> None:
     deck = cb.export(HYBRID, tmp_path / "hybrid.inp", element="brick").deck.text
     assert deck.count("*MATERIAL, NAME=PLY_1") == deck.count("*MATERIAL, NAME=PLY_2") == 1
     assert "** material carbon" in deck
-    sections = re.findall(r"SOLID SECTION.*MATERIAL=PLY_(\d)", deck)
-    assert "".join(sections) == "1221221"
+    assert "".join(re.findall(r"SOLID SECTION.*MATERIAL=PLY_(\d)", deck)) == "1221221"
     densities = [float(value) for value in re.findall(r"DENSITY\n(.*)", deck)]
     assert_allclose(densities, [1590.0, 1900.0], rtol=1e-9)
     shells = cb.export(HYBRID, tmp_path / "shells.inp").deck.text

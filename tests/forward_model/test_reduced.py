@@ -129,8 +129,7 @@ def test_usual_layups_are_among_the_samples_of_unknown_angles() -> None:
         assert layup in angles
     assert np.all(problem.admissible(problem.parameters.mapping(samples.x)))
     known = read_specimen("C1")
-    fixed = convergence_samples(known, plate_problem(known, known.unknowns))
-    assert len(fixed.x) == len(samples.x) - 4
+    assert len(convergence_samples(known, plate_problem(known, known.unknowns)).x) == len(samples.x) - 4
 
 
 @pytest.mark.slow
@@ -217,8 +216,7 @@ def b1() -> Specimen:
 
 def quick(specimen: Specimen) -> tuple[ReducedModel, list[str]]:
     said: list[str] = []
-    model = reduced_model(specimen, specimen.unknowns, 3, settings=QUICK, notify=said.append)
-    return model, said
+    return reduced_model(specimen, specimen.unknowns, 3, settings=QUICK, notify=said.append), said
 
 
 def test_masses_of_translation_and_rotation_are_both_diagonal(b1: Specimen) -> None:

@@ -88,8 +88,7 @@ def test_fewer_frequencies_than_unknowns_and_a_misfit_above_three_percent_are_sl
 @pytest.mark.parametrize(("apart", "found"), [(0.0, 1), (1e-3, 1), (0.02, 0)])
 def test_nearly_equal_lists_are_one_measurement(apart: float, found: int) -> None:
     first = builtin("A1")
-    second = replace(scaled(first, 1.0 + apart), name="A1 again")
-    slips = preconditions.equal_list_slips([first, second])
+    slips = preconditions.equal_list_slips([first, replace(scaled(first, 1.0 + apart), name="A1 again")])
     assert [slip.facts["plates"] for slip in slips] == [("A1", "A1 again")] * found
     five = scaled(first, 1.0, frequencies=first.measurement.frequencies[:5], labels=("",) * 5)
     assert preconditions.equal_list_slips([first, five]) == ()

@@ -159,8 +159,7 @@ def test_constants_of_a_plate_in_three_dimensions_are_not_biased() -> None:
 def test_free_edges_of_turned_plies_are_softer_in_three_dimensions() -> None:
     plate = carbon("[0/45/-45/90]_s", thickness_mm=7.2)
     ritz = cb.forward(plate, 4).frequencies
-    bricks = solve_modes(plate, reference_constants(plate), 4, in_plane=100).frequencies
-    difference = ritz / bricks - 1.0
+    difference = ritz / solve_modes(plate, reference_constants(plate), 4, in_plane=100).frequencies - 1.0
     assert np.all(difference > 0.0)
     assert difference.max() == pytest.approx(0.8e-2, abs=0.05e-2)  # 100 elements: accurate to 0.05 %
 

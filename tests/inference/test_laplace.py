@@ -315,8 +315,7 @@ def test_optima_are_as_many_as_the_peaks_that_starts_lead_to() -> None:
     own = toy_models.two_peaks()
     assert len(optima_of(own, (0.9, 0.1)).z) == 1
     assert len(optima_of(own, (0.9, 0.1), (0.8, 0.0), (-0.9, 0.5)).z) == 2
-    both = optima_of(own)
-    np.testing.assert_allclose(np.sort(own.scores.to_x(both.z)[:, 0]), [-1.0, 1.0], atol=0.01)
+    np.testing.assert_allclose(np.sort(own.scores.to_x(optima_of(own).z)[:, 0]), [-1.0, 1.0], atol=0.01)
     none = replace(own, model=replace(own.model, allowed=lambda x: np.zeros(len(x), dtype=bool)))
     with pytest.raises(RigidBodyError, match="at no start"):
         optima_of(none)

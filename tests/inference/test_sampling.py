@@ -120,8 +120,7 @@ def test_chains_that_only_jump_have_the_noise_that_they_infer() -> None:
     rng, shape = np.random.default_rng(0), (JUMPING.ensembles, JUMPING.walkers)
     begun = np.stack((rng.uniform(-0.2, 0.2, shape), rng.uniform(0.005, 0.03, shape)), axis=-1)
     found = sample(own, begun, 7, replace(JUMPING, jumps=1.0), proposal=proposal)
-    noise = replace(found, chain=found.chain[..., 1:])
-    check_moments(noise, np.array([mean]), np.array([[variance]]))
+    check_moments(replace(found, chain=found.chain[..., 1:]), np.array([mean]), np.array([[variance]]))
 
 
 def test_separate_peaks_have_their_weights_though_all_walkers_start_on_the_lesser() -> None:

@@ -218,8 +218,7 @@ def test_clamped_rhombic_plate_matches_nafems(tmp_path: Path, name: str) -> None
     for n in (12, 24):
         s = np.linspace(0, 1, n + 1)
         rhombus = grid(s, s, lambda a, b: (side * (a + c * b), side * c * b))
-        space = from_mesh(problem, rhombus, tmp_path)
-        found.append(spectrum(problem, space, len(target)).frequencies[0])
+        found.append(spectrum(problem, from_mesh(problem, rhombus, tmp_path), len(target)).frequencies[0])
     np.testing.assert_allclose(found[1], target, rtol=tolerance)
     assert np.all(found[1] < found[0] * (1 + 1e-6)), "refinement lowers frequencies"
 
@@ -227,8 +226,7 @@ def test_clamped_rhombic_plate_matches_nafems(tmp_path: Path, name: str) -> None
 def test_an_oblique_edge_has_its_own_length_and_no_simple_support(tmp_path: Path) -> None:
     s = np.linspace(0, 1, 4)
     quads = grid(s, s, lambda a, b: ((200.0 - 40.0 * b) * a, 150.0 * b))
-    problem = plate(0.2, 0.15, 0.004, 1600.0, CARBON, (0.0,), "SFCF")
-    space = from_mesh(problem, quads, tmp_path)
+    space = from_mesh(plate(0.2, 0.15, 0.004, 1600.0, CARBON, (0.0,), "SFCF"), quads, tmp_path)
     for edge, size, length in (("x1", 0.15, np.hypot(0.04, 0.15)), ("y1", 0.2, 0.16)):
         weights = space.quadrature(Region("edge", edge=edge)).weights
         assert weights.sum() * size == pytest.approx(length, rel=1e-12)

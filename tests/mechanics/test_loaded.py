@@ -117,8 +117,7 @@ def test_a_mass_in_the_middle_and_many_masses_join_no_parts() -> None:
     one, plate = problem_of("FFFF", "none"), builtin("C1").plate
     x = one.parameters.mapping(sets_of(one))
     space = ritz_space(one.edges, one.nominal, RitzSettings(5, 5))
-    middle = add_known_mass(one, 0.01, plate.length / 2, plate.width / 2)
-    blocks = discretise(middle, space, x).blocks
+    blocks = discretise(add_known_mass(one, 0.01, plate.length / 2, plate.width / 2), space, x).blocks
     assert len(blocks) == len(discretise(one, space, x).blocks)
     assert all(isinstance(block, DenseBlock) for block in blocks)
     for place in np.random.default_rng(2).uniform(size=(12, 2)):

@@ -82,8 +82,7 @@ def test_the_page_has_a_row_for_every_key_of_every_table_and_no_other() -> None:
 @pytest.mark.parametrize(("heading", "key"), KEYS)
 def test_a_row_says_unit_and_default(heading: str, key: str) -> None:
     row, field = documented(heading)[key], TABLES[heading][key]
-    suffix = key.rpartition("_")[2]
-    assert row["unit"] == ("of the key" if heading == PRIOR else UNITS.get(suffix, "-"))
+    assert row["unit"] == ("of the key" if heading == PRIOR else UNITS.get(key.rpartition("_")[2], "-"))
     assert (row["default"] == "required") == field.is_required()
     if isinstance(field.default, bool | float):
         assert row["default"] == str(field.default).lower()

@@ -39,8 +39,7 @@ def test_intervals_that_are_too_narrow_are_flagged_and_right_ones_are_not():
 @pytest.mark.weekly
 def test_the_answer_is_the_same_on_any_number_of_processes():
     alone = answered("calibrate")
-    shared = cb.calibrate("A1", 20, executor="processes", workers=2)
-    assert shared.repetitions == alone.repetitions
+    assert cb.calibrate("A1", 20, executor="processes", workers=2).repetitions == alone.repetitions
     document = json.loads(json.dumps(alone.to_dict(), allow_nan=False))
     assert set(document["constants"]) == {"E1_GPa", "nu12", "relative_std"}
     assert sum(document["constants"]["E1_GPa"]["rank_counts"]) == document["lists"] == 20

@@ -15,7 +15,8 @@ from cpam_bayes.diagnosis.diagnose import diagnosis_notices
 from cpam_bayes.diagnosis.hypotheses import Claim
 from cpam_bayes.diagnosis.next_test import Candidate
 from cpam_bayes.effects import CATALOGUE, ListChange
-from cpam_bayes.questions.diagnose import diagnosis_result
+from cpam_bayes.parameters import Uniform
+from cpam_bayes.questions.diagnose import _at_stated_bound, diagnosis_result
 from cpam_bayes.questions.diagnose.claim import checked_effects, claim_sentence
 from cpam_bayes.questions.diagnose.document import (
     absorbed_biases,
@@ -258,6 +259,14 @@ def test_of_a_list_with_nothing_wrong_nothing_is_extended_and_the_intervals_are_
     assert contradicted.to_dict()["sentence"] == said.headline
 
 
+def test_a_constant_is_at_a_bound_of_the_file_not_at_the_end_of_its_prior(clean):
+    (specimen,) = (case.models.specimen for case in clean.cases)
+    prior = next(p.prior for p in specimen.unknowns.parameters if p.name == "E1")
+    for end, stated in ((prior.upper, True), (0.99 * prior.upper, False)):
+        at_end = replace(answer_constants(clean)[0], bound="upper", prior=Uniform(prior.lower, end))
+        assert _at_stated_bound(at_end, [specimen]) is stated
+
+
 def with_causes(d, causes, claim):
     probability = {c.name: c.probability for c in causes}
     ranges = tuple({**probability, **before} for before in d.sensitivity.probabilities)
@@ -288,6 +297,11 @@ def test_every_claim_has_its_own_sentence_with_sizes_and_what_acts_beside_it(cle
     what = said(misread, "undecided", ("outlier",), 0.4)
     assert what.startswith(f"Something is wrong ({probability_text(misread.something_wrong)})")
     assert TITLES["outlier"] in what
+    weighed = replace(misread.weighed, unaccounted=0.5)
+    with monkeypatch.context() as of:
+        of.setattr(type(misread), "inclusion", {"outlier": 0.97, "warp": 0.02})
+        what = said(replace(misread, weighed=weighed), "undecided", ("outlier",), 0.97)
+    assert what.startswith("Misread frequency (0.970 of what was tested); what else is wrong is open (plate ")
     assert "too weak to exclude" in said(clean, "undecided", ("viscoelastic",), 0.4)
     for inclusion, told in (  # if no single cause explains it, the probable part is named
         ({"sensor_mass": 0.85, "support": 0.1}, "explains by itself (0.970); part of it: added mass 0.85."),
@@ -369,8 +383,7 @@ def test_the_test_that_decides_is_the_next_step_and_another_one_the_last(clean, 
         for i, (name, chance) in enumerate(zip(("clamp", "load"), chances, strict=False))
     )
     undecided = replace(clean, claim=Claim("undecided", ("viscoelastic",), 0.4))
-    first = summary(undecided, candidates=tests).next_step
-    assert (best in first) == (max(chances) > 0.3)
+    assert (best in summary(undecided, candidates=tests).next_step) == (max(chances) > 0.3)
     if max(chances) < 0.3:
         assert best in table(undecided, "Further steps", candidates=tests)[-1][0]
     told = document(clean, candidates=tests)["next_measurement"][0]  # each is shown with its information

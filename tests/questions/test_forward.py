@@ -131,8 +131,7 @@ def kinds(document):
 def holed():
     def f(r, a):
         angle = 2 * np.pi * a
-        square = np.maximum(np.abs(np.cos(angle)), np.abs(np.sin(angle)))
-        radius = (1 - r) * 0.4 + r / square
+        radius = (1 - r) * 0.4 + r / np.maximum(np.abs(np.cos(angle)), np.abs(np.sin(angle)))
         return 100 + 100 * radius * np.cos(angle), 50 + 50 * radius * np.sin(angle)
 
     return grid(np.linspace(0, 1, 7), np.linspace(0, 1, 33), f, closed=True).without("x0", "y0", "x1", "y1")

@@ -127,8 +127,7 @@ def test_a_wrong_thickness_is_the_first_line_of_the_screen(factor, side):
 
 
 def test_a_noise_of_a_fifth_is_the_first_line_of_the_screen(point):
-    noisy = with_measurement(point, relative_std=0.2).specimen
-    first = identify(noisy, seed=0).summary().splitlines()[1]
+    first = identify(with_measurement(point, relative_std=0.2).specimen, seed=0).summary().splitlines()[1]
     assert first.startswith("  The stated repeatability, 0.2, is 20 % of a frequency")
 
 

@@ -38,8 +38,7 @@ SIZES = ("length_mm", "width_mm", "thickness_mm", "density_kg_m3")
 def sampled():
     """A1 with a normal prior of Poisson's ratio and inferred noise."""
     e1, nu12 = builtin("A1").unknowns.parameters
-    informed = replace(nu12, prior=TruncatedNormal(0.33, 0.01, 0.15, 0.4))
-    unknowns = ParameterSet((e1, informed))
+    unknowns = ParameterSet((e1, replace(nu12, prior=TruncatedNormal(0.33, 0.01, 0.15, 0.4))))
     return sample(replace(builtin("A1"), unknowns=unknowns), seed=0, settings=SETTINGS)
 
 
@@ -223,8 +222,7 @@ def test_a_slip_of_the_file_is_named_and_corrected(tmp_path):
 
 
 def test_fewer_frequencies_than_unknowns_are_allowed_and_the_prior_is_said_to_decide():
-    one = with_list(builtin("A1").measurement.frequencies[:1])
-    found = sample(one, seed=0, settings=SETTINGS)
+    found = sample(with_list(builtin("A1").measurement.frequencies[:1]), seed=0, settings=SETTINGS)
     assert found.notices[0] == Notice("few_frequencies", "slip", {"frequencies": 1, "unknowns": 2})
     assert found.assessment.combinations[1].contraction < 1e-6
     assert "the prior" in found.summary(verbose=True)
@@ -374,5 +372,4 @@ def test_the_posterior_of_a_former_plate_as_prior_gives_what_both_lists_give_tog
     assert {determined_text(c) for c in cb.identify(vague, seed=0).constants.values()} == {decided}
     independent = tuple(replace(p, coupled=None) for p in after.unknowns.parameters)
     without = replace(after, unknowns=ParameterSet(independent))
-    wider = cb.identify(without, seed=0, residuals="whitened").constants["E2"].sd
-    assert wider > 2.0 * together["E2"].sd
+    assert cb.identify(without, seed=0, residuals="whitened").constants["E2"].sd > 2.0 * together["E2"].sd

@@ -61,6 +61,7 @@ def test_the_headline_names_what_is_determined_and_what_is_left_open():
 def test_the_fit_is_told_against_the_noise():
     assert "as good as the stated repeatability of 0.2 %" in fit_sentence(0.0019, stated=0.002)
     assert "worse than" in fit_sentence(0.009, stated=0.002, explained=False)
+    assert "0.2 %, but only far from stated" in fit_sentence(0.0021, stated=0.002, explained=False)
     assert "4.5 times the stated repeatability" in fit_sentence(0.009, stated=0.002)
     assert "1.3 %, high for a tap test" in fit_sentence(0.01, inferred=0.013)
     f = np.array([100.0, 200.0])

@@ -109,8 +109,7 @@ def test_moments_by_emcee_on_the_basis_of_a_sequence_are_those_on_the_whole_one(
     whole = sample_mixture(answer(), 0, settings=MixtureSettings(least=2.0)).components[0]
     # a fiftieth of the noise of a frequency is negligible beside the sampling errors
     for a, b in ((small.chains, whole.chains), (small.importance, whole.importance)):
-        moved = (a.mean - b.mean) / np.hypot(a.mean_error, b.mean_error)
-        assert np.abs(moved).max() < 4.0
+        assert np.abs((a.mean - b.mean) / np.hypot(a.mean_error, b.mean_error)).max() < 4.0
     error = np.hypot(small.log_evidence_error, whole.log_evidence_error)
     assert abs(small.log_evidence - whole.log_evidence) < 4.0 * error
 

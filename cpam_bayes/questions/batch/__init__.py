@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import replace
+from glob import glob
 from pathlib import Path
 from typing import Final, TypeAlias
 
@@ -81,7 +82,7 @@ def batch(
     Parameters
     ----------
     plates : each a built-in name, a path, a table or a `Specimen`, see `read_plate`; a folder stands for all
-        its plate files, sorted by name
+        its plate files, a pattern such as ``*.toml`` for all files that match, both sorted by name
     limits : such as "E1_GPa >= 115"; each row has the probability of meeting them
     diagnosis : whether to diagnose every plate, as `diagnose` does
     hierarchical : whether to estimate the mean constants of the material and their scatter from plate to
@@ -184,12 +185,19 @@ def _population(
 
 
 def _of_folder(plate: PlateLike) -> Sequence[PlateLike]:
-    """The plate files of a folder; any other plate as it is."""
-    if not isinstance(plate, str | Path) or not Path(plate).is_dir():
+    """The plate files of a folder or of a pattern such as ``*.toml``; any other plate as it is."""
+    if not isinstance(plate, str | Path):
         return (plate,)
-    found = sorted(str(path) for path in Path(plate).glob("*.toml"))
+    if Path(plate).is_dir():
+        found = sorted(str(path) for path in Path(plate).glob("*.toml"))
+        if not found:
+            raise ValueError(f"{plate}: a folder without plate files, accepted: files that end in .toml")
+        return found
+    if Path(plate).exists() or not set("*?") & set(str(plate)):
+        return (plate,)
+    found = sorted(glob(str(plate)))
     if not found:
-        raise ValueError(f"{plate}: a folder without plate files, accepted: files that end in .toml")
+        raise ValueError(f"{plate}: no file matches, accepted: plate files, folders, built-in specimens")
     return found
 
 

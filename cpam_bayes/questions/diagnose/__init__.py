@@ -184,10 +184,19 @@ def _slips(diagnosis: Diagnosis, specimens: Sequence[Specimen]) -> tuple[Notice,
         *(slip for specimen in specimens for slip in stated_slips(specimen)),
         *equal_list_slips(specimens),
         *count_slips(len(diagnosis.baseline.measured), len(unknowns)),
-        *bound_slips(fit_constants(diagnosis, diagnosis.baseline)),
+        *bound_slips(
+            c for c in fit_constants(diagnosis, diagnosis.baseline) if _at_stated_bound(c, specimens)
+        ),
         *misfit_slips(fit.rms),
         *(slip for specimen in specimens for slip in reference_slips(specimen)),
     )
+
+
+def _at_stated_bound(constant: Constant, specimens: Sequence[Specimen]) -> bool:
+    """Whether a constant is pushed against a bound of a plate file, not against where its prior ends."""
+    end = constant.prior.lower if constant.bound == "lower" else constant.prior.upper
+    stated = [p.prior for s in specimens for p in s.unknowns.parameters if p.name == constant.name]
+    return constant.bound is not None and any(end in (prior.lower, prior.upper) for prior in stated)
 
 
 def diagnosis_result(

@@ -10,6 +10,7 @@ import numpy as np
 
 from cpam_bayes.answer import Notice, Verdict
 from cpam_bayes.diagnosis.diagnose import Cause, Diagnosis
+from cpam_bayes.diagnosis.evidence.sets import SETS
 from cpam_bayes.diagnosis.extension import left_aside
 from cpam_bayes.diagnosis.fit import inferred_noise
 from cpam_bayes.diagnosis.hypotheses import CLAIM_RULES, NONE, OTHER, Claim, causes_in
@@ -137,6 +138,15 @@ def _undecided(d: Diagnosis) -> str:
         begun = "Undecided: time was up before every cause was tested"
         return f"{begun}; most probable so far: {_with_probabilities(d, causes)}." if causes else f"{begun}."
     wrong, open_ = probability_text(d.something_wrong), _with_probabilities(d, causes)
+    sure = {name: p for name, p in causes.items() if name != OTHER and p >= CLAIM_RULES.sure}
+    if sure and d.weighed.unaccounted > SETS.unaccounted:
+        rest = _with_probabilities(d, {name: p for name, p in causes.items() if name not in sure})
+        also = f" ({rest})" if rest else ""
+        begun = listed(
+            [f"{title_of(d, name)} ({probability_text(p)} of what was tested)" for name, p in sure.items()],
+            "and",
+        )
+        return f"{_capital(begun)}; what else is wrong is open{also}."
     if d.something_wrong >= CLAIM_RULES.sure:
         return f"Something is wrong ({wrong}); cause open: {open_}."
     if d.baseline.predictive_p <= CLAIM_RULES.explained:
@@ -227,10 +237,8 @@ def _fit_sentence(d: Diagnosis) -> str:
     if d.extended is not None and d.claim.kind != OTHER:
         allowing = {"class": "Allowing for one of them", "pair": "Allowing for these"}
         before, after = (significant(100.0 * f.rms_as_stated, 2) for f in (d.baseline, d.extended))
-        fit = (
-            f"{allowing.get(d.claim.kind, 'Allowing for it')}, the misfit falls from {before} % to {after} %"
-        )
-        return f"{fit}{_unexplained(d)}."
+        begun = allowing.get(d.claim.kind, "Allowing for it")
+        return f"{begun}, the misfit at the stated sizes falls from {before} % to {after} %{_unexplained(d)}."
     noise = inferred_noise(d.weighed.plain)
     if d.claim.kind == OTHER and noise is not None:
         return f"Fit {significant(100.0 * d.baseline.rms, 2)} %{_unexplained(d)}."
