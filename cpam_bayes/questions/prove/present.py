@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -196,11 +197,16 @@ def _mirrored(result: CoinResult) -> tuple[str, ...]:
 
 
 def _or_images(coin: Coin) -> str:
-    return f"{listed([_where(place) for place in coin.found.images], 'or')} mm"
+    return f"{listed([_where(place) for place in _in_order(coin.found.images)], 'or')} mm"
+
+
+def _in_order(places: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Places from left to right, of those one above another from below."""
+    return sorted(places, key=lambda place: [round(_MILLIMETRE * along) for along in place])
 
 
 def _images(coin: Coin) -> list[list[float]]:
-    places = coin.found.images if coin.is_added else ()
+    places = _in_order(coin.found.images) if coin.is_added else ()
     return [[_MILLIMETRE * x, _MILLIMETRE * y] for x, y in places]
 
 
