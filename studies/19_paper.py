@@ -52,7 +52,7 @@ RUNS = {
     "02_agreement": {"version": "0.1.0", "date": "2026-11-21"},
     "07_fpso": {"version": "0.1.0", "date": "2026-11-22"},
     "08_sequences": {"version": "0.2.0", "date": "2026-11-30"},
-    "12_findings": {"version": "0.2.0", "date": "2026-11-28"},
+    "12_findings": {"version": "0.2.0", "date": "2026-12-01"},
 }
 
 
