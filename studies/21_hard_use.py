@@ -330,18 +330,17 @@ def _wrong_arguments(most: int, seconds: float) -> Tally:
 def _give_arguments(tally: Tally) -> None:
     for name, keyword, value in _arguments():
         verb = getattr(cb, name)
-        wanted = inspect.signature(verb).parameters.values()
-        several = next((p.name for p in wanted if p.kind is p.VAR_POSITIONAL), None)
-        needed = {p.name: "no such plate" for p in wanted if p.default is p.empty and p.name != several}
-        given_ = {} if keyword == several else {**needed, keyword: value}
-        places = () if several is None else (value if keyword == several else "no such plate",)
+        wanted = list(inspect.signature(verb).parameters.values())
+        given_ = {p.name: "no such plate" for p in wanted if p.default is p.empty} | {keyword: value}
+        several = next((i for i, p in enumerate(wanted) if p.kind is p.VAR_POSITIONAL), -1)
+        places = [given_.pop(p.name, p.default) for p in wanted[: several + 1]]
         tally.record((name, keyword, value), partial(verb, *places, **given_))
 
 
 def _arguments() -> Iterator[tuple[str, str, object]]:
     for name in cb.__all__:
         verb = getattr(cb, name)
-        if inspect.isfunction(verb):
+        if inspect.isfunction(verb) and name != "app":  # which would serve until it is stopped
             for keyword in inspect.signature(verb).parameters:
                 for value in WRONG:
                     yield name, keyword, value
