@@ -27,8 +27,7 @@ SOLVER_KEYS = {"case", "unit", "reach", "at_least", "before", "after"}
 
 def documented(script: str) -> tuple[set[str], set[str]]:
     section = README.partition(f"## {script}\n")[2].partition("\n## ")[0]
-    table = section.partition("| key | what |")[2]
-    keys = re.findall(r"^\| (`[^|]*) \|", table, re.MULTILINE)
+    keys = re.findall(r"^\| (`[^|]*) \|", section.partition("| key | what |")[2], re.MULTILINE)
     row = section.partition("\nA row has ")[2].partition("\n\n")[0]
     return set(re.findall(r"`(\w+)`", " ".join(keys))), set(re.findall(r"`(\w+)`", row))
 

@@ -49,8 +49,7 @@ def independent(off: tuple[float, ...], sd: float = 1.0) -> Posterior:
     The posterior is a product of Gaussians, mean off / 10 and standard deviation sd / 10, cut to [0, 1]."""
     n = len(off)
     mean = 100.0 * np.arange(1, n + 1)
-    own = parameters(**{f"p{i}": Uniform(0.0, 1.0) for i in range(n)})
-    model = linear(mean, 10.0 * np.eye(n), own)
+    model = linear(mean, 10.0 * np.eye(n), parameters(**{f"p{i}": Uniform(0.0, 1.0) for i in range(n)}))
     return plate_posterior(model, listed(mean + np.array(off), np.full(n, sd)), np.zeros(n))
 
 

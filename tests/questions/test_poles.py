@@ -196,6 +196,12 @@ def test_a_record_clipped_at_its_top_is_refused(tmp_path, kind, gain, top):
         cb.poles(tmp_path / "clip.wav", response=[1], window="none")
 
 
+def test_a_record_of_a_few_samples_has_no_hit(tmp_path):
+    wavfile.write(tmp_path / "short.wav", RATE, np.zeros((1, 2), np.int16))
+    with pytest.raises(ModalTestError, match="no hit"):
+        cb.poles(tmp_path / "short.wav", force=1, response=[2], window="exponential")
+
+
 def test_decays_at_a_high_rate_are_searched_where_they_stand_above_noise(tmp_path):
     rate, rng = 44100, np.random.default_rng(0)
     t = np.arange(3 * rate) / rate

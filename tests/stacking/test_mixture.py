@@ -80,8 +80,7 @@ def test_what_is_not_sampled_has_its_importance_draws_where_it_is_listed_and_is_
 
 def test_a_sequence_that_is_asked_for_is_sampled_too() -> None:
     own = answer()
-    third = given_layup(own, own.top[2])
-    found = sample_mixture(own, 0, given=third, settings=SHORT)
+    found = sample_mixture(own, 0, given=given_layup(own, own.top[2]), settings=SHORT)
     assert (found.given.index, len(found.components), len(found.sampled)) == (2, 1, 2)
     most_probable = sample_mixture(own, 0, settings=replace(SHORT, least=SAMPLED))  # as if most probable
     np.testing.assert_array_equal(found.given.draws, most_probable.components[2].draws)

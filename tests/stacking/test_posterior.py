@@ -126,8 +126,7 @@ def test_the_evidence_of_a_sequence_is_that_of_the_known_layup(relative_std: flo
     own = of_both_angles(specimen)
     start = np.concatenate((reference_vector(specimen, specimen.unknowns), [0.01] * (relative_std is None)))
     angles = np.array([TRUE, (45.0, 0.0)])
-    fits = fit_conditionals(own, angles, start[None])
-    found = importance_evidence(own, angles, fits, 12)
+    found = importance_evidence(own, angles, fit_conditionals(own, angles, start[None]), 12)
     for i, row in enumerate(angles):
         known = with_layup(specimen, specimen.plate.layup.with_angles(row))
         of_known = reduced_model(known, known.unknowns, 6)

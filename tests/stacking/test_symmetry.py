@@ -214,8 +214,7 @@ def test_what_is_found_is_what_a_look_at_all_finds(layup: str) -> None:
     if k > 2:
         asked[0] = 0, 3, 3, 0
     for target, found in zip(asked, equal_bending(sums, asked), strict=True):
-        at = v[np.all(every == target, axis=1)][0]
-        expected = every[np.all(np.abs(v - at) < 1e-9, axis=1)]
+        expected = every[np.all(np.abs(v - v[np.all(every == target, axis=1)][0]) < 1e-9, axis=1)]
         assert {tuple(s) for s in found} == {tuple(s) for s in expected}
     if k > 2:
         assert len(equal_bending(sums, asked[:1])[0]) > 1

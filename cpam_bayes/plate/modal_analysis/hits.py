@@ -533,5 +533,6 @@ def _are_silent(channels: Array, rate: float) -> Array:
     """True for channels that are constant, or are not pulses and have no line above noise, (n_channels,)."""
     lasts = _lasting(channels)
     power = np.abs(np.fft.rfft(channels, axis=1)[:, _DRIFT_LINES:]) ** 2
-    stands = np.any(power > _ABOVE_NOISE * np.median(power, axis=1, keepdims=True), axis=1)
+    noise = np.median(power, axis=1, keepdims=True) if power.size else power  # a record of a few samples
+    stands = np.any(power > _ABOVE_NOISE * noise, axis=1)
     return np.asarray((lasts == 0.0) | (~stands & (lasts > _LASTING * rate)))
