@@ -61,13 +61,19 @@ def as_computed(file: Path) -> str:
     was found equivalent.
     """
     text = without_words(text_of(file))
-    for change in tomllib.loads(text_of(CHANGES))["change"]:
+    for change in _changes(text_of(CHANGES)):
         if file == Path(cpam_bayes.__file__).parent / change["file"]:
             for was, now in change["lines"]:
                 if text.count(now) != 1:
                     raise ValueError(f"{change['file']} no longer holds a change listed in {CHANGES.name}")
                 text = text.replace(now, was)
     return text
+
+
+@cache
+def _changes(text: str) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = tomllib.loads(text)["change"]
+    return found
 
 
 def remember(script: Path) -> None:
