@@ -88,7 +88,7 @@ def test_a_plate_is_typed_its_list_pasted_and_the_constants_are_those_of_the_com
         pasted = json.dumps(" ".join(map(str, frequencies())))
         browser.value(f"document.querySelector('[data-paste]').value = {pasted}")
         click(browser, "[data-take]")
-        there(browser, "#answer .headline")
+        there(browser, "#answer .headline ~ * .constants")  # the advice before the list has a headline too
         assert browser.value("""document.querySelector("[data-key='plate.length_mm']").value""") == "300"
         click(browser, "[data-act=save]")
         browser.until("document.getElementById('said').textContent.startsWith('saved as')")
