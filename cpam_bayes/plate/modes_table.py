@@ -177,16 +177,11 @@ def read_modes_table(
     # a line above the headings may share their words, but has no numbers below them
     found = next((one for one in candidates if _has_frequencies(one, columns_of(one.heads))), None)
     found = found or next(iter(candidates), None) or (None if given else _without_heads(text))
+    if found is None and given:
+        what = "no head of [measurement.columns], accepted: heads that are in the table"
+        return None, (TableProblem(0, "", what),)
     if found is None:
-        accepted = (
-            "a line of heads above the numbers with a column hz, and mode or label; or a row a hit and a "
-            "column a mode"
-        )
-        if given:
-            accepted = "heads that are in the table"
-            return None, (TableProblem(0, "", f"no head of [measurement.columns], {accepted}"),)
-        what = f"no column of frequencies, accepted: {accepted}; {_NAMED}"
-        return None, (TableProblem(0, "", what, choices=_numbered_columns(text)),)
+        return None, (_without_frequencies(text),)
     found = _turned(_with_units(found))
     columns = columns_of(found.heads)
     is_stated = any("hz" in head.casefold() for head in found.heads)
@@ -208,6 +203,8 @@ def read_modes_table(
         found = _without_summaries(found, columns)
         problems += _of_specimens(found, columns)
     problems += [*_of_heads(found, columns), *_of_cells(found, columns)]
+    if not problems and not any(name == "hz" for name, _ in columns):
+        problems = [_without_frequencies(text)]
     if not problems:
         problems = list(_doubts(found, columns, is_stated=is_stated, is_named=is_named))[:1]
     if not problems and not found.rows:
@@ -240,6 +237,12 @@ def _without_heads(text: str) -> Delimited | None:
 
 # How to name the column of the frequencies.
 _NAMED: Final = 'name it in [measurement.columns]: hz = "HEAD"'
+
+
+def _without_frequencies(text: str) -> TableProblem:
+    long = "a line of heads above the numbers with a column hz, and mode or label"
+    what = f"no column of frequencies, accepted: {long}; or a row a hit and a column a mode; {_NAMED}"
+    return TableProblem(0, "", what, choices=_numbered_columns(text))
 
 
 def _numbered_columns(text: str) -> tuple[str, ...]:
@@ -422,9 +425,13 @@ def _with_units(table: Delimited) -> Delimited:
     units = [cell.casefold().strip("[]() ") for cell in table.rows[0].cells]
     units[0] = units[0] if units[0] in _UNIT_CELLS else ""
     are_units = all(unit in _UNIT_CELLS or not _NUMBER.fullmatch(unit) for unit in units)
-    if not {"hz", "khz"} & set(units) or not are_units:
+    own = [_split(head)[1] for head in table.heads]
+    differ = any(mine != u and {mine, u} <= {*_UNIT_CELLS[1:]} for mine, u in zip(own, units, strict=False))
+    if not {"hz", "khz"} & set(units) or not are_units or differ:
         return table
-    heads = tuple(f"{h} [{u}]" if u else h for h, u in zip(table.heads, units, strict=False))
+    heads = tuple(
+        f"{h} [{u}]" if u and not mine else h for h, mine, u in zip(table.heads, own, units, strict=False)
+    )
     return replace(table, heads=heads, rows=table.rows[1:])
 
 

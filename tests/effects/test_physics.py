@@ -173,8 +173,7 @@ def test_a_square_turned_to_a_rhombus_has_its_area_in_the_mass():
     np.testing.assert_allclose(skewed, np.cos(np.deg2rad(8.0)) * plain, rtol=1e-13)
 
 
-# For root springs EI / (c L) and EI / (c L^3): at b = (frequency parameter)^(1/2) this plus 1 + cos(b)
-# cosh(b) is zero.
+# Springs EI / (c L), EI / (c L^3): at b = (frequency parameter)^(1/2) this plus 1 + cos(b) cosh(b) is zero.
 ROOTS = {
     "rotation": lambda b, c: c * b * (np.cos(b) * np.sinh(b) - np.sin(b) * np.cosh(b)),
     "translation": lambda b, c: -c * b**3 * (np.cos(b) * np.sinh(b) + np.sin(b) * np.cosh(b)),

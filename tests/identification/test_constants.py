@@ -407,9 +407,8 @@ def test_of_exact_data_the_posterior_is_that_of_the_jacobian_about_the_truth_and
     weighted = prediction.jacobian[0] / (NOISE * prediction.frequencies[0])[:, None]
     expected = np.sqrt(np.diag(np.linalg.inv(weighted.T @ weighted)))
     np.testing.assert_allclose([c.sd for c in constants], expected, rtol=0.12)  # sampling 3 %, linearity 2 %
-    # a draw has chi2_2 for the data (two constants), chi2_6 for a replicate list (six frequencies): P(chi2_6
-    # > chi2_2) = 1 - E[exp(-G)] = 1 - (1/2)^3 with G = chi2_6 / 2 a Gamma(3) variable; 1000 draws, of which
-    # at least 500 effective, give it to 0.015
+    # chi2_2 for the data (two constants), chi2_6 for a replicate list (six frequencies): P(chi2_6 > chi2_2) =
+    # 1 - E[exp(-G)] = 1 - (1/2)^3, G = chi2_6 / 2 a Gamma(3) variable; 500 effective draws give it to 0.015
     assert sampled.p_value == pytest.approx(0.875, abs=0.05)
 
 

@@ -29,9 +29,8 @@ FREE = {
     "unsymmetric": plate(0.2, 0.15, 0.003, 1600.0, CARBON, (45.0, -45.0)),
     "very-thin": plate(0.3, 0.2, 0.0003, 1600.0, CARBON, (30.0, 0.0)),
 }
-# NAFEMS, Selected Benchmarks for Natural Frequency Analysis (R0015), FV15 and FV22: clamped rhombic plates,
-# 10 m sides at 45 degrees. The printed values are early truncated series of Kirchhoff's and Mindlin's theory;
-# converged ones differ by 0.5 and 1 %.
+# NAFEMS, Selected Benchmarks for Natural Frequency Analysis (R0015), FV15, FV22: clamped rhombi, 10 m sides
+# at 45 degrees. Printed: early truncated series of Kirchhoff's and Mindlin's theory; converged: 0.5, 1 % off.
 RHOMBIC = {
     "FV15": (0.05, [7.938, 12.835, 17.941, 19.133, 24.009, 27.922], 0.015),
     "FV22": (1.0, [133.95, 201.41, 265.81, 283.68, 334.45], 0.012),

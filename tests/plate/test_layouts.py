@@ -64,6 +64,7 @@ WRITTEN_IN_LABORATORIES: dict[str, str | bytes] = {
         for mode, hit in OF_MODES.items()
     },
     "a line of units in brackets": "Mode;f\n[-];[kHz]\n1;0,1015\n2;0,30525\n3;0,333\n",
+    "a line of the units of the heads": "Mode;f [kHz];Q (1)\n;kHz;-\n1;0,1015;9\n2;0,30525;8\n3;0,333;7\n",
     "long, hits in any language": "Schlag;Mode;Frequenz\n"
     + "".join(f"{i};{m};{f}\n" for i, hit in enumerate(TAPPED, 1) for m, f in enumerate(hit, 1)),
     "wide, no column of hits": wide(",", THREE),

@@ -201,6 +201,7 @@ def packed(size: int) -> bytes:
         ("hit,1,2\n1,101,5,305,2\n", "decimal commas need another separator"),
         (wide(";", THREE, first="hit").replace("305.2", "13.05,2"), "not a number"),
         ("hit;f1 [Hz];f2 [kHz]\n1;101,5;0,305\n", "units hz and khz beside each other"),
+        ("Mode;f [kHz]\n;Hz\n1;101,5\n2;305\n", 'line 2, column f [kHz]: not a number, received "Hz"'),
         ("hit;1;2\n1;101;305\n2;305;306\n", "hits of one mode, which agree to 20 %"),
         (b"\xd0\xcf\x11\xe0" + bytes(2000), "an .xls file or one with a password"),
         (sheet(WIDE)[:900], "no workbook that can be read"),
@@ -246,5 +247,7 @@ def test_columns_that_may_be_the_frequencies_are_told_apart_by_name(measured, re
 def test_heads_are_named_in_the_plate_file(measured, read, content: str, columns: str) -> None:
     with pytest.raises(PlateFileError, match="column sigma: no such head, accepted: a, b"):
         read("a;b\n1;101,5\n", '[measurement.columns]\nhz = "b"\nsd = "sigma"\n')
+    with pytest.raises(PlateFileError, match=r"no column of frequencies.*columns\]: hz ="):
+        read("a;b\n1;101,5\n", '[measurement.columns]\nmode = "a"\n')
     found = measured(content, f"[measurement.columns]\n{columns}\n")
     np.testing.assert_allclose(found.frequencies, MODES, rtol=1e-9)

@@ -87,8 +87,7 @@ def test_a_hidden_damage_is_found_with_a_known_evidence(form, damage, least):
             assert np.all(np.abs(mean[at] - damage) < 3.0 * sd[at])  # a single list: within three sd
 
 
-# A clamp that hardly gives is weighed, not rejected: the median of its prior would be a gross error.
-# Frequencies of bricks with an ideal clamp.
+# Bricks with an ideal clamp: a clamp that hardly gives is weighed, though its prior's median is a gross one.
 CONSTANTS = {"E1_GPa": 126.0, "E2_GPa": 8.7, "nu12": 0.3, "G12_GPa": 4.9}
 MATERIAL = {"isotropic": False, **CONSTANTS, "sd": {name: 0.07 * value for name, value in CONSTANTS.items()}}
 BOUNDS = {"E1_GPa": [80.0, 200.0], "E2_GPa": [5.0, 16.0], "nu12": [0.15, 0.45], "G12_GPa": [2.5, 10.0]}
