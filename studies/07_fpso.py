@@ -41,7 +41,7 @@ from cpam_bayes.identification.angle_search import (
 )
 from cpam_bayes.inference.swarm import SwarmResult, SwarmSettings
 from cpam_bayes.parallel import open_executor
-from cpam_bayes.plate import Specimen, angle_grid, to_si
+from cpam_bayes.plate import Specimen, angle_grid
 from cpam_bayes.printed.tables import identified_layups
 from cpam_bayes.render.report import Heading, Table
 from cpam_bayes.render.terminal import screen_text, timed_lines
@@ -219,7 +219,6 @@ def _case(specimen: Specimen, name: str, kind: str, plan: Plan, executor: Execut
             else "printed in Table 9(b)"
             if _printed(name)
             else "own",
-            "F_printed_constants": _printed_misfit(fit, name) if kind == PRINTED else None,
         },
         "margins": margins,
         "runs": [
@@ -267,18 +266,6 @@ def _known_sequences(specimen: Specimen, name: str, kind: str) -> Array:
         return own[None]
     printed = np.array(identified_layups()[name].angles_deg, dtype=float)
     return np.array([_on_grid(printed, angle_grid(specimen.angle_grid_deg)), own])
-
-
-def _printed_misfit(fit: AngleSearchProblem, name: str) -> float | None:
-    """F of the printed sequence with the constants printed beside it; None if none are printed."""
-    row = identified_layups().get(name)
-    if row is None or not row.constants:
-        return None
-    si = dict(
-        zip(fit.unknowns.names, (to_si(key, float(text)) for key, text in row.constants.items()), strict=True)
-    )
-    sequence = _on_grid(np.array(row.angles_deg, dtype=float), fit.grid_deg)
-    return float(fit.values(fit.unknowns.vector(si)[None], sequence[None])[0])
 
 
 def _fitted_ends(
