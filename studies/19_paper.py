@@ -49,8 +49,8 @@ COMPUTED_BY = "cpam_bayes.questions.paper.work"
 SEED = 0
 # Version and date of the study runs from which the package's stored results were taken.
 RUNS = {
-    "02_agreement": {"version": "0.1.0", "date": "2026-11-21"},
-    "07_fpso": {"version": "0.1.0", "date": "2026-11-22"},
+    "02_agreement": {"version": "0.2.0", "date": "2026-11-30"},
+    "07_fpso": {"version": "0.2.0", "date": "2026-12-01"},
     "08_sequences": {"version": "0.2.0", "date": "2026-11-30"},
     "12_findings": {"version": "0.2.0", "date": "2026-12-01"},
 }
