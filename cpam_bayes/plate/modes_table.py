@@ -426,7 +426,8 @@ def _with_units(table: Delimited) -> Delimited:
     units[0] = units[0] if units[0] in _UNIT_CELLS else ""
     are_units = all(unit in _UNIT_CELLS or not _NUMBER.fullmatch(unit) for unit in units)
     own = [_split(head)[1] for head in table.heads]
-    differ = any(mine != u and {mine, u} <= {*_UNIT_CELLS[1:]} for mine, u in zip(own, units, strict=False))
+    pairs = [{mine, u} & {*_UNIT_CELLS[1:]} for mine, u in zip(own, units, strict=False)]
+    differ = any(len(pair) == 2 and pair & {"khz", "%"} for pair in pairs)
     if not {"hz", "khz"} & set(units) or not are_units or differ:
         return table
     heads = tuple(

@@ -259,7 +259,7 @@ def test_a_page_without_disagreements_has_no_heading_for_them_and_says_when_it_w
     written = page(of_the_package((13,)).to_dict())
     assert "disagreements" not in written
     assert "\n\n\n" not in written
-    assert re.search(r"Computed 2026-\d\d-\d\d to 2026-\d\d-\d\d by version 0\.1\.0", written)
+    assert re.search(r"Computed 2026-\d\d-\d\d to 2026-\d\d-\d\d by version 0\.2\.0", written)
 
 
 # Hadamard's conditions against closed forms
