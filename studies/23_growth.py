@@ -3,7 +3,7 @@
 python studies/23_growth.py [--quick] [--only NAME ...] [--most S]
 
 Costs are the CPU seconds of one process without a stored model; on a shared machine two runs differed by up
-to 40 %. A curve has an exponent p by least squares of log cost over log size, cost ~ size^p. The plate is a
+to 60 %. A curve has an exponent p by least squares of log cost over log size, cost ~ size^p. The plate is a
 free cross-ply, its lists come from the plate model with 0.2 % of noise. Curves of the forward solver are from
 study 03, and those of stacking sequences by their number from study 08, in seconds of two cores. A curve
 ends where the next size is expected to take more than S seconds. For batches on a Dask cluster the cost is
