@@ -29,7 +29,7 @@ class AnswerError(ValueError):
 
 
 def read(path: Path, lists: Collection[str]) -> dict[str, Record]:
-    """Answers in a file by list; raises AnswerError for invalid ones, OSError if there is no such file.
+    """Answers in a file by list; raises AnswerError for invalid ones or none, OSError if there is no file.
 
     lists : names of the existing lists
     """
@@ -47,6 +47,8 @@ def read(path: Path, lists: Collection[str]) -> dict[str, Record]:
         except ValueError as error:
             why = "not JSON" if isinstance(error, json.JSONDecodeError) else error
             raise AnswerError(f"{path.name}, line {number}: {why}") from None
+    if not found:
+        raise AnswerError(f"{path.name}: no answers")
     return found
 
 

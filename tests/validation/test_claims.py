@@ -465,11 +465,11 @@ def test_without_probabilities_and_constants_only_claims_are_scored(tmp_path: Pa
     ],
 )
 def test_what_cannot_be_scored_is_refused_with_its_line(line, why: str, tmp_path: Path, capsys) -> None:
-    second = told(ANSWERED[1]) | line if isinstance(line, dict) else line
-    path = written(tmp_path, told(ANSWERED[0]), second)
-    for file, words in ((path, ("mine.jsonl, line 2: ", why)), (tmp_path / "none.jsonl", ("none.jsonl",))):
+    written(tmp_path, told(ANSWERED[0]), told(ANSWERED[1]) | line if isinstance(line, dict) else line)
+    (tmp_path / "empty.jsonl").touch()
+    for name, place, words in (("mine", ", line 2: ", why), ("none", "", ""), ("empty", ": ", "no answers")):
         with pytest.raises(SystemExit) as stop:
-            STUDY.main(["--score", str(file)])
+            STUDY.main(["--score", str(tmp_path / f"{name}.jsonl")])
         assert stop.value.code == 2
         said = capsys.readouterr().err
-        assert all(word in said for word in words)
+        assert all(word in said for word in (f"{name}.jsonl{place}", words))
