@@ -191,10 +191,10 @@ def with_angles(specimen: Specimen, angles: Array) -> Specimen:
 def model_of(sequence: Specimen, model: ReducedModel) -> PlateModel:
     """Full model of a specimen with known angles, whose reduced model has them as parameters.
 
-    Where some sequences couple bending with stretching, the space for all has further functions.
+    Where some sequences couple bending with stretching, the space for all is not that of one.
     """
     problem, full = plate_problem(sequence, sequence.unknowns), model.full
-    if sequence.plate.layup.is_symmetric and full.basis is not None:
+    if full.operator.problem.nominal.symmetric and full.basis is not None:
         x = reference_vector(sequence, problem.parameters)[None]
         own = model_on_basis(problem, x, model.n_modes, full.error, full.basis)
     else:

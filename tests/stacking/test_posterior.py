@@ -56,11 +56,11 @@ def distribution(answer: StackingPosterior) -> dict[tuple[float, ...], float]:
 @pytest.mark.slow
 def test_a_symmetric_sequence_of_an_unsymmetric_laminate_has_its_common_errors() -> None:
     """In the space of all sequences it lacks functions for stretching."""
-    own = replace(unknown_plate("[?/?/0]", step=45.0), measurement=builtin("C1").measurement)
-    full = converged_model(own, angle_parameters(own).union(own.unknowns), 6)
-    model: Any = SimpleNamespace(full=full, n_modes=6, parameters=full.parameters)
-    constants = reference_vector(own, own.unknowns)
-    for angles in ((0.0, 0.0), (45.0, 0.0)):
+    for layup, angles in (("[?/?/0]", (0.0, 0.0)), ("[?/?/0]", (45.0, 0.0)), ("[?/0_3]", (0.0,))):
+        own = replace(unknown_plate(layup, step=45.0), measurement=builtin("C1").measurement)
+        full = converged_model(own, angle_parameters(own).union(own.unknowns), 6)
+        model: Any = SimpleNamespace(full=full, n_modes=6, parameters=full.parameters)
+        constants = reference_vector(own, own.unknowns)
         errors = stacking._in_common(own, model, np.array(angles), constants)
         # for a thin plate thickness and density, 1 % each, shift all modes by 1 and 0.5 %
         np.testing.assert_allclose(np.linalg.norm(errors, axis=0), np.hypot(0.01, 0.005), rtol=0.2)
